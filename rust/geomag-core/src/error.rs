@@ -1,0 +1,134 @@
+//! What can go wrong, said so that a reader can mend it: what was needed, what was got, and where.
+//!
+//! Not finding a fix is never an error; it is a [`Status`](crate::fix::Status).
+
+/// Shorthand for results of this crate.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// Every error of this crate.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// An argument is outside what the function accepts.
+    #[error("{what}: needed {needed}, got {got}")]
+    Invalid {
+        /// The argument, with its index where it is an element.
+        what: String,
+        /// What is accepted.
+        needed: String,
+        /// What was passed.
+        got: String,
+    },
+    /// Arrays that belong together do not fit each other.
+    #[error("{what}: needed shape {needed}, got {got}")]
+    Shape {
+        /// The array.
+        what: String,
+        /// The shape that would fit.
+        needed: String,
+        /// The shape that was passed.
+        got: String,
+    },
+    /// A value that must be finite is NaN or infinite.
+    #[error("{what}[{index}]: needed a finite number, got {got}")]
+    NotFinite {
+        /// The array or argument.
+        what: String,
+        /// Index of the first offending element.
+        index: usize,
+        /// The value.
+        got: f64,
+    },
+    /// Too few samples for what was asked.
+    #[error("{what}: needed at least {needed} samples, got {got}")]
+    TooFewSamples {
+        /// What needs the samples.
+        what: String,
+        /// The least number.
+        needed: usize,
+        /// The number passed.
+        got: usize,
+    },
+    /// A search would exceed the caller's own limit; refused before memory is taken.
+    #[error(
+        "{what}: needs {needed} candidates, max_candidates allows {limit}; raise it, enlarge the step or shrink the search"
+    )]
+    TooManyCandidates {
+        /// The search.
+        what: String,
+        /// Candidates that it would need.
+        needed: u128,
+        /// The limit in force.
+        limit: u64,
+    },
+    /// A matrix that must be positive definite is not, after bounded regularisation.
+    #[error("{what}: needed a positive definite matrix, got one whose factorisation fails ({detail})")]
+    NotPositiveDefinite {
+        /// The matrix.
+        what: String,
+        /// What was tried.
+        detail: String,
+    },
+    /// Equations without a unique solution.
+    #[error("{what}: needed a full-rank problem, got rank {rank} of {needed} ({detail})")]
+    RankDeficient {
+        /// The problem.
+        what: String,
+        /// Numerical rank.
+        rank: usize,
+        /// Rank needed.
+        needed: usize,
+        /// Why, in the caller's terms.
+        detail: String,
+    },
+    /// Saved state that cannot be read back.
+    #[error("saved state of {what}: {detail}")]
+    State {
+        /// The object.
+        what: String,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// The caller asked to stop.
+    #[error("interrupted by the caller")]
+    Interrupted,
+}
+
+impl Error {
+    /// An [`Error::Invalid`] from its three parts.
+    pub fn invalid(what: impl Into<String>, needed: impl Into<String>, got: impl ToString) -> Self {
+        Self::Invalid { what: what.into(), needed: needed.into(), got: got.to_string() }
+    }
+
+    /// An [`Error::Shape`] from its three parts.
+    pub fn shape(what: impl Into<String>, needed: impl Into<String>, got: impl ToString) -> Self {
+        Self::Shape { what: what.into(), needed: needed.into(), got: got.to_string() }
+    }
+}
+
+/// Refuses a slice with a NaN or infinite element, naming the first.
+///
+/// # Errors
+/// [`Error::NotFinite`].
+pub fn require_finite(what: &str, values: &[f64]) -> Result<()> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(Error::NotFinite { what: what.into(), index, got: values[index] }),
+    }
+}
+
+/// Refuses a number that is not finite and greater than zero.
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_positive(what: &str, value: f64) -> Result<f64> {
+    if value.is_finite() && value > 0.0 { Ok(value) } else { Err(Error::invalid(what, "a finite number > 0", value)) }
+}
+
+/// Refuses a number that is not finite or is less than zero.
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_not_negative(what: &str, value: f64) -> Result<f64> {
+    if value.is_finite() && value >= 0.0 { Ok(value) } else { Err(Error::invalid(what, "a finite number >= 0", value)) }
+}

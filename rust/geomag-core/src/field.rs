@@ -1,0 +1,42 @@
+//! The one small trait through which matchers and filters see a scalar field.
+
+use crate::grid::GridMap;
+
+/// A scalar field over the horizontal plane that a matcher can be given as its map.
+///
+/// Coordinates are x to the east and y to the north, in metres or (geographic) in degrees of longitude and latitude.
+/// [`GridMap`] is the fast path, reached through [`Field::as_grid`]; anything else is sampled point by point.
+pub trait Field: Send + Sync + std::fmt::Debug {
+    /// Field value at a point; NaN where it is unknown (off the map, on a hole).
+    fn value(&self, x: f64, y: f64) -> f64;
+
+    /// Value and gradient per metre `[east, north]`; NaN where unknown.
+    fn value_and_gradient(&self, x: f64, y: f64) -> (f64, [f64; 2]);
+
+    /// Standard deviation of the stored value against the true field at a point; zero where nothing is known about it.
+    fn sigma(&self, _x: f64, _y: f64) -> f64 {
+        0.0
+    }
+
+    /// Whether coordinates are degrees of longitude and latitude.
+    fn geographic(&self) -> bool;
+
+    /// Metres per map unit at a latitude (or any y of a projected map), `[east, north]`.
+    fn metres_per_unit(&self, y: f64) -> [f64; 2] {
+        if self.geographic() { crate::frame::metres_per_degree(y) } else { [1.0, 1.0] }
+    }
+
+    /// Brings a longitude to the turn that the map is on; projected x is returned as it is.
+    fn wrap_x(&self, x: f64) -> f64;
+
+    /// The spacing `[x, y]` at which this field is known, map units: one cell of a grid.
+    fn spacing(&self) -> [f64; 2];
+
+    /// Mean level of the field, used to keep correlation measures about zero.
+    fn mean(&self) -> f64;
+
+    /// The regular grid behind this field, where there is one.
+    fn as_grid(&self) -> Option<&GridMap> {
+        None
+    }
+}

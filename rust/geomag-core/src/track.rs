@@ -1,0 +1,125 @@
+//! The indicated track: positions as the INS gives them, with the measured field values.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, require_finite};
+
+/// Indicated positions and measured values, oldest first.
+///
+/// x to the east and y to the north, in the map's units (metres, or degrees of longitude and latitude); values in the
+/// map's unit; times in seconds.
+///
+/// ```
+/// let track = geomag_core::track::Track::new(vec![0.0, 50.0], vec![0.0, 10.0], vec![12.5, 13.0], None)?;
+/// assert_eq!(track.len(), 2);
+/// # Ok::<(), geomag_core::error::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Track {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    values: Vec<f64>,
+    time_s: Option<Vec<f64>>,
+}
+
+impl Track {
+    /// A track of at least one sample.
+    ///
+    /// # Errors
+    /// [`Error::TooFewSamples`] without a sample, [`Error::Shape`] for unequal lengths, [`Error::NotFinite`] naming the
+    /// first bad sample, [`Error::Invalid`] where time runs backwards.
+    pub fn new(x: Vec<f64>, y: Vec<f64>, values: Vec<f64>, time_s: Option<Vec<f64>>) -> Result<Self> {
+        let n = x.len();
+        for (name, len) in [("y", y.len()), ("values", values.len()), ("time_s", time_s.as_ref().map_or(n, Vec::len))] {
+            if len != n {
+                return Err(Error::shape(format!("track {name}"), format!("({n},) as x"), format!("({len},)")));
+            }
+        }
+        if n == 0 {
+            return Err(Error::TooFewSamples { what: "track".into(), needed: 1, got: 0 });
+        }
+        require_finite("track x", &x)?;
+        require_finite("track y", &y)?;
+        require_finite("track values", &values)?;
+        if let Some(time) = &time_s {
+            require_finite("track time_s", time)?;
+            if let Some(i) = time.windows(2).position(|w| w[1] < w[0]) {
+                return Err(Error::invalid(
+                    format!("track time_s[{}]", i + 1),
+                    format!("a time not before {}", time[i]),
+                    time[i + 1],
+                ));
+            }
+        }
+        Ok(Self { x, y, values, time_s })
+    }
+
+    /// Number of samples, at least one.
+    #[allow(clippy::len_without_is_empty)] // never empty by construction
+    pub fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Indicated x (east).
+    pub fn x(&self) -> &[f64] {
+        &self.x
+    }
+
+    /// Indicated y (north).
+    pub fn y(&self) -> &[f64] {
+        &self.y
+    }
+
+    /// Measured values.
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// Times in seconds, where they are known.
+    pub fn time_s(&self) -> Option<&[f64]> {
+        self.time_s.as_deref()
+    }
+
+    /// Indicated position of sample `k`.
+    pub fn point(&self, k: usize) -> [f64; 2] {
+        [self.x[k], self.y[k]]
+    }
+
+    /// Indicated position of the newest sample.
+    pub fn newest(&self) -> [f64; 2] {
+        self.point(self.len() - 1)
+    }
+
+    /// Samples `range` as a track of their own.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] where the range leaves the track, [`Error::TooFewSamples`] where it is empty.
+    pub fn slice(&self, range: std::ops::Range<usize>) -> Result<Self> {
+        if range.end > self.len() || range.start > range.end {
+            return Err(Error::invalid(
+                "track slice",
+                format!("a range within 0..{}", self.len()),
+                format!("{range:?}"),
+            ));
+        }
+        Self::new(
+            self.x[range.clone()].to_vec(),
+            self.y[range.clone()].to_vec(),
+            self.values[range.clone()].to_vec(),
+            self.time_s.as_ref().map(|t| t[range].to_vec()),
+        )
+    }
+
+    /// Along-track distance of every sample from the first, metres.
+    pub fn distance_m(&self, geographic: bool) -> Vec<f64> {
+        let mut out = Vec::with_capacity(self.len());
+        let mut total = 0.0;
+        out.push(0.0);
+        for k in 1..self.len() {
+            let [east, north] = crate::frame::displacement_m(geographic, self.point(k - 1), self.point(k));
+            total += east.hypot(north);
+            out.push(total);
+        }
+        out
+    }
+}
