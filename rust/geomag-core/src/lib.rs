@@ -17,4 +17,5 @@ pub mod frame;
 pub mod grid;
 pub mod monitor;
 pub mod state;
+pub mod synthetic;
 pub mod track;
