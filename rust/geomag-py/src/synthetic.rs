@@ -71,7 +71,7 @@ impl PySyntheticField {
                 let [x0, y0, x1, y1] = field.extent();
                 let per_node = 2 * field.waves().len() + 20 * field.dipoles().len();
                 let units = (x1 - x0) / step * (y1 - y0) / step * per_node as f64;
-                long_call::run(py, units.abs() as u64, None, |_| field.grid_by_step(step))?
+                long_call::run(py, units.abs() as u64, None, None, |_| field.grid_by_step(step))?
             }
             (None, Some(x), Some(y)) => {
                 let x = Axis::from_coordinates("x", &vector("x", x)?, 0.0)?;
