@@ -205,7 +205,7 @@ class InsSpread:
 
     def draw(self, seed: int) -> InsError:
         """Draw one error."""
-        drawn = json.loads(_draw_ins_error(_json(self, InsSpread), seed))
+        drawn: dict[str, Any] = json.loads(_draw_ins_error(_json(self, InsSpread), seed))
         return InsError(**{k: tuple(v) if isinstance(v, list) else v for k, v in drawn.items()})
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,10 +28,10 @@ def _units(grid: GridMap) -> str:
 
 @styled
 def residuals(grid: GridMap, track: Track, fix: Fix, ax: Axes | None = None, *, title: str | None = None) -> Axes:
-    """Draw measured values and the map's values along the track, as indicated and as matched.
+    """Draw the readings and the map's values along the track, as indicated and as matched.
 
-    A match that is right brings the map's profile onto the readings; the root mean square of what is left is given, with
-    the mean taken out where the match estimated one.
+    A match that is right brings the map's profile onto the readings; the root mean square of what is left is given,
+    with the constant taken out that the match estimated, if it did.
     """
     ax = new_axes(ax, 6.4, 2.8)
     along = np.asarray(track.distance_m(geographic=grid.geographic))
@@ -93,7 +94,7 @@ def calibration_diagram(
         ax.text(0.0004, 0.55, "worse than declared", fontsize=8, color=COLOURS["bad"])
     shift = 1.0 + 0.06 * len(ax.containers)
     points = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         inside = (declared >= low) & ((declared < high) | (high == edges[-1]) & (declared == high))
         n = int(inside.sum())
         if n == 0:

@@ -59,8 +59,9 @@ def mark_offset(ax: Axes, offset: tuple[float, float], name: str) -> None:
         ax.plot(*offset, marker="+", ms=12, mew=2.0, color="black", ls="none", label="true offset",
                 path_effects=halo(4.5), zorder=6)  # fmt: skip
     else:
-        ax.plot(*offset, marker="o", ms=10, mew=1.8, mfc="none", mec=COLOURS["matched"], ls="none",
-                label="matched offset", path_effects=halo(4.0), zorder=7)  # fmt: skip
+        ring: dict[str, Any] = {"marker": "o", "mfc": "none", "ls": "none", "zorder": 7}
+        ax.plot(*offset, ms=11, mew=4.0, mec="white", **ring)
+        ax.plot(*offset, ms=11, mew=2.0, mec=COLOURS["matched"], label="matched offset", **ring)
 
 
 @styled
@@ -117,7 +118,7 @@ def score_surface(
     image = _image(ax, values, xs, ys, cmap="viridis" if least_is_best else "viridis_r", norm=norm)
     bar = ax.figure.colorbar(image, ax=ax, shrink=0.8, pad=0.02, aspect=26)
     bar.set_label(label)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     _offset_axes(ax, geographic, latitude_deg, float(xs[-1] - xs[0]))
     if true_offset is not None:
         mark_offset(ax, true_offset, "true")
@@ -156,15 +157,21 @@ def _draw_frame(ax: Axes, frame: Frame, true_offset: tuple[float, float] | None)
 
 
 def draw_frames(
-    axes: Sequence[Axes], steps: Sequence[Frame], true_offset: tuple[float, float] | None, geographic: bool,
-    latitude: float, *, all_labelled: bool = False
-) -> None:  # fmt: skip
-    """Draw frames on the axes given; the first is labelled, the others are bare."""
+    axes: Sequence[Axes],
+    columns: int,
+    steps: Sequence[Frame],
+    *,
+    true_offset: tuple[float, float] | None,
+    geographic: bool,
+    latitude: float,
+) -> None:
+    """Draw frames on a grid of axes; the first of the last row is labelled, the others are bare."""
+    labelled = (len(steps) - 1) // columns * columns
     for i, (ax, frame) in enumerate(zip(axes, steps, strict=False)):
         _draw_frame(ax, frame, true_offset)
         _offset_axes(ax, geographic, latitude, float(frame.x[-1] - frame.x[0]))
         ax.tick_params(labelsize=7)
-        if i and not all_labelled:
+        if i != labelled:
             ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for ax in axes[len(steps) :]:
         ax.set_axis_off()
@@ -191,7 +198,7 @@ def frames(
     rows = math.ceil(len(chosen) / columns)
     figure = new_figure(2.1 * columns + 0.4, 2.15 * rows + 0.3)
     axes = np.atleast_1d(np.asarray(figure.subplots(rows, columns), dtype=object)).ravel()
-    draw_frames(list(axes), chosen, true_offset, geographic, latitude_deg)
+    draw_frames(list(axes), columns, chosen, true_offset=true_offset, geographic=geographic, latitude=latitude_deg)
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10)
     return figure

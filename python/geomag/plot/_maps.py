@@ -124,7 +124,7 @@ def field_map(
         units = getattr(grid, "units", None)
         bar = ax.figure.colorbar(image, ax=ax, extend="both", shrink=0.75, pad=0.02, aspect=28)
         bar.set_label(f"{name} ({units})" if units else name)
-        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.outline.set_visible(False)
     scale_bar(ax, geographic=grid.geographic)
     north_arrow(ax)
     if title:
@@ -142,7 +142,7 @@ def scale_bar(ax: Axes, *, geographic: bool = False) -> None:
     length_m = max(m * 10.0**exponent for m in (1, 2, 5) if m * 10.0**exponent <= width_m / 4)
     share = length_m / width_m
     text = f"{length_m / 1000:g} km" if length_m >= 1000 else f"{length_m:g} m"
-    options = {"transform": ax.transAxes, "zorder": 8}
+    options: dict[str, Any] = {"transform": ax.transAxes, "zorder": 8}
     ax.plot([0.04, 0.04 + share], [0.045, 0.045], color="white", lw=5.0, solid_capstyle="butt", **options)
     ax.plot([0.04, 0.04 + share], [0.045, 0.045], color="black", lw=2.5, solid_capstyle="butt", **options)
     box = {"boxstyle": "square,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
@@ -172,9 +172,9 @@ def _xy(points: Any) -> NDArray[np.float64]:  # noqa: ANN401 - a track, a path, 
 
 
 _TRACKS: Mapping[str, Mapping[str, Any]] = {
-    "true": {"color": COLOURS["true"], "ls": "-", "marker": None, "lw": 2.0},
+    "true": {"color": COLOURS["true"], "ls": "-", "marker": None, "lw": 3.6},
     "indicated": {"color": COLOURS["indicated"], "ls": (0, (4, 2)), "marker": "s", "lw": 1.4},
-    "matched": {"color": COLOURS["matched"], "ls": "-", "marker": "o", "lw": 1.2, "mfc": "white"},
+    "matched": {"color": COLOURS["matched"], "ls": "-", "marker": "o", "lw": 1.4, "mfc": "white"},
 }
 
 
@@ -199,7 +199,9 @@ def tracks(
             continue
         look = dict(_TRACKS[name])
         every = max(1, len(xy) // 20)
-        ax.plot(*xy.T, label=f"{name} track", markevery=every, path_effects=halo(), zorder=5, ms=3.6, **look)
+        # The true track is broad and the matched one thin, so that both show where they agree.
+        edge = [] if name == "matched" and true is not None else halo(look["lw"] + 1.8)
+        ax.plot(*xy.T, label=f"{name} track", markevery=every, path_effects=edge, zorder=5, ms=3.6, **look)
         ax.plot(*xy[-1], marker=look["marker"] or "o", ms=7, color=look["color"], mec="white", mew=1.0, zorder=6)
     if legend:
         ax.legend(loc="upper left")
@@ -243,8 +245,8 @@ def ellipse(
     circle = np.stack([np.cos(angle), np.sin(angle)])
     points = vectors @ (radius * np.sqrt(np.clip(values, 0.0, None))[:, None] * circle)
     east, north = metres_per_unit(geographic, y)
-    ax.plot(x + points[0] / east, y + points[1] / north, color=colour or COLOURS["matched"], lw=1.2, zorder=7,
-            label=label or f"{probability:.0%} ellipse", path_effects=halo(2.6))  # fmt: skip
+    ax.plot(x + points[0] / east, y + points[1] / north, color=colour or COLOURS["accent"], lw=1.6, zorder=7,
+            label=label or f"{probability:.0%} ellipse", path_effects=halo(3.0))  # fmt: skip
     return ax
 
 
@@ -285,7 +287,7 @@ def suitability_map(
     label_axes(ax, geographic, float(xs[-1] - xs[0]) * east)
     bar = ax.figure.colorbar(image, ax=ax, extend="max", shrink=0.75, pad=0.02, aspect=28)
     bar.set_label(label)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     if good_below is not None and finite.min() < good_below < finite.max():
         beyond = np.ma.masked_invalid(shown)
         ax.contourf(xs, ys, beyond, levels=[good_below, float(finite.max())], colors="none", hatches=["////"])

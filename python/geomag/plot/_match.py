@@ -75,8 +75,11 @@ def match_figure(
     panels = [has_surface, has_steps]
     figure = new_figure(12.0 if any(panels) else 7.2, 8.2 if all(panels) or not any(panels) else 7.4)
     left: Any
+    right: Any
+    halves: Any
     if any(panels):
-        left, right = figure.subfigures(1, 2, width_ratios=(1.0, 0.85))
+        halves = figure.subfigures(1, 2, width_ratios=(1.0, 0.85))
+        left, right = halves
     else:
         left, right = figure, None
     map_ax, profile_ax = left.subplots(2, 1, height_ratios=(2.6, 1.0))
@@ -114,7 +117,7 @@ def match_figure(
         if steps:
             chosen = pick(steps, 6)
             axes = list(np.ravel(parts[-1].subplots(2, 3)))
-            draw_frames(axes, chosen, true_offset, grid.geographic, latitude)
+            draw_frames(axes, 3, chosen, true_offset=true_offset, geographic=grid.geographic, latitude=latitude)
             kind = "Offsets still feasible" if np.asarray(steps[0].values).dtype == bool else "Posterior"
             parts[-1].suptitle(f"{kind}, sample by sample", x=0.02, ha="left", fontsize=10)
     figure.suptitle(title or _words(fix, true_offset, grid.geographic, latitude), x=0.01, ha="left", fontsize=11)
@@ -124,10 +127,10 @@ def match_figure(
 def _words(fix: Fix, true_offset: tuple[float, float] | None, geographic: bool, latitude: float) -> str:
     """Return the answer in words."""
     if not np.isfinite(fix.offset_m).all():
-        return f"{fix.status} after {fix.n_samples} samples: no position"
+        return f"{fix.status.capitalize()} after {fix.n_samples} samples: no position"
     east, north = fix.offset_m
     words = (
-        f"{fix.status} after {fix.n_samples} samples: indicated position is to be moved by "
+        f"{fix.status.capitalize()} after {fix.n_samples} samples: the indicated position is to be moved by "
         f"{abs(east):.0f} m {'east' if east >= 0 else 'west'}, {abs(north):.0f} m {'north' if north >= 0 else 'south'}"
     )
     if true_offset is not None:
