@@ -6,6 +6,7 @@ pandas. `pip install 'geomag-nav[io]'` brings them.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -314,9 +315,9 @@ def _from_points(
 
     xs, column = axis(x, "x")
     ys, row = axis(y, "y")
-    if len(xs) * len(ys) > 100 * len(x) + 10_000:
+    if len(xs) * len(ys) > 10 * len(x):
         raise InvalidInputError(
-            f"{path}: needed points that fill a grid, got {len(x)} points for {len(ys)} x {len(xs)} nodes; "
+            f"{path}: needed points that fill a tenth of a grid at least, got {len(x)} points for {len(ys)} x {len(xs)} nodes; "
             "scattered data must be gridded first"
         )
     grid = np.full((len(ys), len(xs)), np.nan)
@@ -339,7 +340,7 @@ def _read_table(path: Path) -> pd.DataFrame:
         first = pandas.read_csv(path, nrows=1, header=None, dtype=str, **options)
         numeric = all(_is_number(v) for v in first.iloc[0])
         table = pandas.read_csv(path, header=None if numeric else 0, **options)
-    except (pandas.errors.ParserError, pandas.errors.EmptyDataError, UnicodeDecodeError, OSError, ValueError) as error:
+    except (pandas.errors.ParserError, pandas.errors.EmptyDataError, csv.Error, OSError, ValueError) as error:
         raise ReadError(f"{path}: needed a readable table, got: {error}") from error
     if not len(table):
         raise ReadError(f"{path}: needed at least one row, got none")

@@ -10,8 +10,7 @@ from geomag._optional import require
 
 require("typer", "cli", "the geomag command")
 
-import click  # noqa: E402 - comes with typer, whose absence is reported above
-import typer  # noqa: E402
+import typer  # noqa: E402 - its absence is reported above
 
 NO_FIX = 3
 BAD_INPUT = 1
@@ -47,16 +46,16 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command and return the exit status."""
     try:
         result = typer.main.get_command(app).main(list(arguments), prog_name="geomag", standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as help_shown:
-        sys.stderr.write(f"{help_shown.format_message()}\n")
-        return BAD_INPUT
-    except click.ClickException as error:
-        sys.stderr.write(f"geomag: {error.format_message()}\n")
-        return BAD_INPUT
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         sys.stderr.write("geomag: interrupted\n")
         return 130
     except GeomagError as error:
         sys.stderr.write("geomag: " + str(error).replace("\n", " ") + "\n")
+        return BAD_INPUT
+    except Exception as error:
+        # Usage errors: typer carries its own copy of click, so that they have no importable base of one name.
+        if not hasattr(error, "format_message"):
+            raise
+        sys.stderr.write(f"geomag: {error.format_message()}\n")
         return BAD_INPUT
     return result if isinstance(result, int) else 0
