@@ -99,7 +99,9 @@ def test_bad_input_is_one_line_and_status_1(files, capsys, monkeypatch, argument
 
 
 def test_a_map_of_nothing_useful_is_status_3(files, capsys):
-    flat = geomag.GridMap(np.full((90, 80), 5.0), 16 + 0.002 * np.arange(80), 47 + 0.0015 * np.arange(90), geographic=True)
+    flat = geomag.GridMap(
+        np.full((90, 80), 5.0), 16 + 0.002 * np.arange(80), 47 + 0.0015 * np.arange(90), geographic=True
+    )
     flat.to_xarray().rename("anomaly").to_netcdf(files / "flat.nc")
     status, out, _ = call(capsys, "match", files / "flat.nc", files / "log.csv", "--half-width-m", 500, "--json")
     assert status == 3
@@ -137,9 +139,7 @@ def test_demo_on_a_real_line(tmp_path, capsys, data_file):
 
 def test_reproduce_quickly(tmp_path, capsys, data):
     pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
-    status, out, _ = call(
-        capsys, "reproduce", "E1", "E2", "E3", "--data", data, "--out", tmp_path, "--effort", 0.04
-    )
+    status, _out, _ = call(capsys, "reproduce", "E1", "E2", "E3", "--data", data, "--out", tmp_path, "--effort", 0.04)
     assert status == 0
     assert "published" in (tmp_path / "report.md").read_text()
     tables = {r["key"]: r for r in json.loads((tmp_path / "report.json").read_text())}

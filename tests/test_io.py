@@ -70,7 +70,9 @@ def test_xarray_either_dimension_order_and_back(field):
 
 
 def test_kilometres_become_metres():
-    array = xr.DataArray(np.eye(3), coords={"northing": [0.0, 1, 2], "easting": [5.0, 6, 7]}, dims=("northing", "easting"))
+    array = xr.DataArray(
+        np.eye(3), coords={"northing": [0.0, 1, 2], "easting": [5.0, 6, 7]}, dims=("northing", "easting")
+    )
     array["easting"].attrs["units"] = array["northing"].attrs["units"] = "km"
     grid = geomag.GridMap.from_xarray(array)
     np.testing.assert_allclose(grid.x, [5000, 6000, 7000])
@@ -94,7 +96,13 @@ def test_rasters(tmp_path, field, driver):
         x, y = 1000.0 + 50 * np.arange(11), 2000.0 + 50 * np.arange(9)
     dx, dy = x[1] - x[0], y[1] - y[0]
     path = tmp_path / ("map.tif" if driver == "GTiff" else "map.grd")
-    profile = {"height": 9, "width": 11, "count": 1, "dtype": "float32", "transform": from_origin(x[0] - dx / 2, y[-1] + dy / 2, dx, dy)}
+    profile = {
+        "height": 9,
+        "width": 11,
+        "count": 1,
+        "dtype": "float32",
+        "transform": from_origin(x[0] - dx / 2, y[-1] + dy / 2, dx, dy),
+    }
     top_down = values[::-1].astype("f4")
     if driver == "GTiff":
         profile |= {"nodata": np.nan, "crs": "EPSG:4326"}
@@ -145,7 +153,9 @@ def test_xyz_text(tmp_path, field):
         geomag.read_grid(scattered)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x00\x01\x02" * 50, b"CDF\x01rubbish", b"\x89HDF\r\n\x1a\nxx", b"II*\x00zz", b"a,b\n1,2\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x00\x01\x02" * 50, b"CDF\x01rubbish", b"\x89HDF\r\n\x1a\nxx", b"II*\x00zz", b"a,b\n1,2\n"]
+)
 def test_corrupt_files_are_refused(tmp_path, content):
     path = tmp_path / "broken"
     path.write_bytes(content)

@@ -16,7 +16,6 @@ from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
 
-
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
 
@@ -54,10 +53,10 @@ def match(
             help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated."
         ),
     ] = None,
-    remove_mean: Annotated[
-        bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")
-    ] = True,
-    tolerance_m: Annotated[float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")] = 0.0,
+    remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
+    tolerance_m: Annotated[
+        float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")
+    ] = 0.0,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
         float, typer.Option(help="Search headings up to this, in five steps a side (not IEMA).")
