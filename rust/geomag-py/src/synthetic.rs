@@ -25,7 +25,8 @@ pub fn settings<T: DeserializeOwned>(what: &str, json: &str) -> PyRes<T> {
 /// A made-up field that is known at every point.
 #[pyclass(frozen, name = "SyntheticField", module = "geomag.synthetic")]
 pub struct PySyntheticField {
-    inner: SyntheticField,
+    /// The field.
+    pub inner: SyntheticField,
 }
 
 #[pymethods]
