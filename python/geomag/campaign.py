@@ -1,4 +1,4 @@
-"""Many seeded trials: how often a matcher finds the truth, how far off it is, how often it is wrong and does not say so.
+"""Many seeded trials: how often a matcher finds the truth, how far off it is, how often it is wrong unsaid.
 
 A trial is a flight of `geomag.synthetic` and a match of it. Everything random in trial i follows from the campaign's
 seed and i alone: any subset, order, number of threads or workers gives the same rows. On one machine the trials of
@@ -26,7 +26,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, cast
@@ -48,8 +48,6 @@ __all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "grid_searc
 
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
-
-_TEXT_COLUMNS = ("status",)
 
 
 @dataclass(frozen=True)
@@ -277,8 +275,8 @@ class Campaign:
 
     grid: GridMap
     tracks: RandomTracks | Path = RandomTracks()
-    ins: InsSpread = InsSpread()
-    sensor: Sensor = Sensor()
+    ins: InsSpread = field(default_factory=InsSpread)
+    sensor: Sensor = field(default_factory=Sensor)
     seed: int = 0
     truth: GridMap | SyntheticField | None = None
 
@@ -374,16 +372,15 @@ class Campaign:
             report(done, len(numbers))
 
         if executor is None:
-            base = done
             for i in left:
+                before = done
 
-                def inner(d: int, _total: int, at: int = 0) -> None:
-                    report(base + at + d, len(numbers))
+                def within(d: int, _: int, before: int = before) -> None:
+                    report(before + d, len(numbers))
 
-                start = done - base
-                finished(i, work(chunks[i], threads, lambda d, t, at=start: inner(d, t, at) if progress else None))
+                finished(i, work(chunks[i], threads, within if progress else None))
         else:
-            _distribute(executor, work, chunks, left, threads or 1, retries, finished)
+            _distribute(executor, work, chunks, left, threads=threads or 1, retries=retries, finished=finished)
         ordered = [parts[i] for i in range(len(chunks))]
         return {name: _join([part[k] for part in ordered]) for k, name in enumerate(methods)}
 
@@ -419,7 +416,8 @@ class _Work:
         for array in (self.campaign.grid.values, self.campaign.grid.x, self.campaign.grid.y):
             digest.update(np.ascontiguousarray(array).tobytes())
         if isinstance(self.campaign.truth, SyntheticField):
-            digest.update(np.ascontiguousarray(self.campaign.truth.sample(self.campaign.grid.x[:50], self.campaign.grid.y[:50])).tobytes())
+            x, y = np.meshgrid(self.campaign.grid.x[::7], self.campaign.grid.y[::7])
+            digest.update(np.ascontiguousarray(self.campaign.truth.sample(x, y)).tobytes())
         elif self.campaign.truth is not None:
             digest.update(np.ascontiguousarray(self.campaign.truth.values).tobytes())
         named = {n: m.to_dict() if isinstance(m, Method) else _name_of(m) for n, m in self.methods.items()}
@@ -454,7 +452,8 @@ def _run_in_python(plan: Campaign, methods: Mapping[str, Matcher], trials: Seque
         for name, matcher in methods.items():
             fix = matcher(plan.grid, flight.track)
             if not isinstance(fix, Fix):
-                raise InvalidInputError(f"method {name!r}: needed a callable that returns a Fix, got {type(fix).__name__}")
+                got = type(fix).__name__
+                raise InvalidInputError(f"method {name!r}: needed a callable that returns a Fix, got {got}")
             at = min(max(fix.n_samples, 1), len(flight.track)) - 1
             for column, value in _row(plan.grid, flight, fix, at, trial).items():
                 lists[name][column].append(value)
@@ -497,53 +496,71 @@ def _call(work: _Work, trials: Sequence[int], threads: int) -> _Part:
     return work(trials, threads)
 
 
+def _keep(work: _Work) -> _Work:
+    """Hold the maps on a cluster as a task's result: unlike scattered data it is made anew when its worker dies."""
+    return work
+
+
 def _distribute(
-    executor: object, work: _Work, chunks: Sequence[tuple[int, ...]], left: Sequence[int], threads: int,
-    retries: int, finished: Callable[[int, _Part], None],
-) -> None:  # fmt: skip
+    executor: object,
+    work: _Work,
+    chunks: Sequence[tuple[int, ...]],
+    left: Sequence[int],
+    *,
+    threads: int,
+    retries: int,
+    finished: Callable[[int, _Part], None],
+) -> None:
     """Give chunks out, take rows in; chunks that died with their worker are given out again."""
-    payload: Any = work
-    if not isinstance(executor, Executor) and hasattr(executor, "scatter") and hasattr(executor, "submit"):
-        # A Dask client: the maps go to the cluster once, not with every chunk.
-        distributed = require("distributed", "distributed", "running on a Dask client")
-        payload = executor.scatter(work)
-
-        def submit(i: int, attempt: int) -> Any:  # noqa: ANN401 - distributed.Future
-            return executor.submit(_call, payload, chunks[i], threads, pure=False, retries=retries)
-
-        futures = {submit(i, 0): i for i in left}
-        for future in distributed.as_completed(list(futures)):
-            finished(futures[future], future.result())
-        return
-    if not isinstance(executor, Executor):
+    on_dask = not isinstance(executor, Executor) and hasattr(executor, "get_executor")
+    if not on_dask and not isinstance(executor, Executor):
         raise InvalidInputError(
             f"executor: needed a concurrent.futures.Executor or a distributed.Client, got {type(executor).__name__}"
         )
+    pool: Any = executor
+    payload: Any = pool.submit(_keep, work, pure=False) if on_dask else work
+    options: dict[str, Any] = {"pure": False} if on_dask else {}
+
+    def submit(i: int) -> Any:  # noqa: ANN401 - a future of either kind
+        return pool.submit(_call, payload, chunks[i], threads, **options)
+
     attempts = dict.fromkeys(left, 0)
-    waiting: dict[Future[_Part], int] = {executor.submit(_call, payload, chunks[i], threads): i for i in left}
-    while waiting:
-        ready, _ = wait(waiting, return_when=FIRST_COMPLETED)
-        for future in ready:
-            i = waiting.pop(future)
+    waiting: dict[Any, int] = {submit(i): i for i in left}
+    completed = _dask_completed(waiting) if on_dask else _completed(waiting)
+    for future in completed:
+        i = waiting.pop(future)
+        try:
+            part = future.result()
+        except GeomagError:
+            raise
+        except Exception as error:
+            attempts[i] += 1
+            if attempts[i] > retries:
+                raise GeomagError(
+                    f"campaign: trials {chunks[i][0]} to {chunks[i][-1]} failed {attempts[i]} times ({error!r})"
+                ) from error
             try:
-                part = future.result()
-            except GeomagError:
-                raise
-            except Exception as error:
-                attempts[i] += 1
-                if attempts[i] > retries:
-                    raise GeomagError(
-                        f"campaign: trials {chunks[i][0]} to {chunks[i][-1]} failed {attempts[i]} times ({error})"
-                    ) from error
-                try:
-                    waiting[executor.submit(_call, payload, chunks[i], threads)] = i
-                except RuntimeError as broken:
-                    raise GeomagError(
-                        f"campaign: the executor takes no more work ({broken}); finished chunks are kept where a folder "
-                        "was given, and a new run with a new executor goes on from there"
-                    ) from error
-                continue
-            finished(i, part)
+                waiting[submit(i)] = i
+            except RuntimeError as broken:
+                raise GeomagError(
+                    f"campaign: the executor takes no more work ({broken}); finished chunks are kept where a folder "
+                    "was given, and a new run with a new executor goes on from there"
+                ) from error
+            continue
+        finished(i, part)
+
+
+def _completed(waiting: Mapping[Any, int]) -> Iterator[Any]:
+    """Futures as they are done, those that are added meanwhile too."""
+    while waiting:
+        yield from wait(waiting, return_when=FIRST_COMPLETED).done
+
+
+def _dask_completed(waiting: Mapping[Any, int]) -> Iterator[Any]:
+    """`_completed` for the futures of a Dask client."""
+    distributed = require("distributed", "distributed", "running on a Dask client")
+    while waiting:
+        yield from distributed.wait(list(waiting), return_when="FIRST_COMPLETED").done
 
 
 class _Store:
@@ -557,7 +574,7 @@ class _Store:
             try:
                 held = json.loads(plan.read_text(encoding="utf-8"))
             except (OSError, ValueError) as error:
-                raise ReadError(f"{plan}: needed the settings of a campaign, got something unreadable ({error})") from error
+                raise ReadError(f"{plan}: needed a campaign's settings, got something unreadable ({error})") from error
             if held != fingerprint:
                 changed = sorted(k for k in {*held, *fingerprint} if held.get(k) != fingerprint.get(k))
                 raise StateError(
@@ -590,7 +607,7 @@ class _Store:
             raise ReadError(f"{path}: needed rows of a campaign, got something unreadable ({error})") from error
 
     def save(self, trials: tuple[int, ...], part: _Part) -> None:
-        arrays: dict[str, Any] = {f"{k}/{name}": values for k, columns in enumerate(part) for name, values in columns.items()}
+        arrays: dict[str, Any] = {f"{k}/{name}": v for k, columns in enumerate(part) for name, v in columns.items()}
 
         def write(path: FilePath) -> None:
             with path.open("wb") as out:
