@@ -199,7 +199,7 @@ def match_report(
                     true_offset=offset,
                     label=surface_label,
                     least_is_best=least_is_best,
-                )  # fmt: skip
+                )
             ),
             "Score of every offset that was searched; dark is good. One narrow dark place is a sound fix; several, or "
             "a long valley, are a reason for doubt.",
