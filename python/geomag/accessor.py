@@ -4,7 +4,9 @@
 >>> import geomag, geomag.accessor
 >>> x = y = np.arange(0.0, 6000.0, 50.0)
 >>> field = 90 * np.sin(x / 400)[None, :] * np.cos(y / 500)[:, None]
->>> da = xr.DataArray(field, coords={"y": y, "x": x}, attrs={"units": "nT"}, name="anomaly")
+>>> metres = {"units": "m"}
+>>> coordinates = {"y": ("y", y, metres), "x": ("x", x, metres)}
+>>> da = xr.DataArray(field, coords=coordinates, attrs={"units": "nT"}, name="anomaly")
 >>> k = np.arange(30.0)
 >>> track = geomag.Track(1000 + 90 * k, 2000 + 40 * k, da.geomag.sample(1210 + 90 * k, 1875 + 40 * k))
 >>> fix = da.geomag.match(track, "msd", half_width=500)
@@ -43,7 +45,7 @@ class GeomagAccessor:
 
     def sample(self, x: ArrayLike, y: ArrayLike, method: str = "bilinear") -> NDArray[np.float64]:
         """Values at points; NaN off the map."""
-        found: NDArray[np.float64] = self.grid.sample(x, y, method)  # type: ignore[arg-type]
+        found: NDArray[np.float64] = self.grid.sample(x, y, method=method)  # type: ignore[arg-type]
         return found
 
     def match(self, track: Track, criterion: str = "msd", **options: Any) -> Fix:  # noqa: ANN401 - passed on

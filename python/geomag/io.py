@@ -148,7 +148,9 @@ def _read_netcdf(path: Path, variable: str | None, geographic: bool | None, sigm
         layer: Any = sigma
         if isinstance(sigma, str):
             if sigma not in dataset:
-                raise UnknownVariableError(f"{path}: needed a variable among {', '.join(fields)} for sigma, got '{sigma}'")
+                raise UnknownVariableError(
+                    f"{path}: needed a variable among {', '.join(fields)} for sigma, got '{sigma}'"
+                )
             layer = dataset[sigma]
         return grid_from_xarray(dataset[variable], geographic=geographic, sigma=layer)
 
@@ -224,7 +226,9 @@ def _read_raster(path: Path, geographic: bool | None, sigma: float | None) -> Gr
     except rasterio.errors.RasterioError as error:
         raise ReadError(f"{path}: needed a readable raster, got: {error}") from error
     if transform.b != 0.0 or transform.d != 0.0:
-        raise InvalidInputError(f"{path}: needed rows along x and columns along y, got a rotated raster {tuple(transform)[:6]}")
+        raise InvalidInputError(
+            f"{path}: needed rows along x and columns along y, got a rotated raster {tuple(transform)[:6]}"
+        )
     kind = np.float32 if band.dtype == np.float32 else np.float64
     values = np.ma.filled(band.astype(kind), np.nan)
     # The two nodata values of Surfer; not all versions of the driver declare them.
@@ -373,7 +377,9 @@ def _pick(
             return names[name]
     if fallback is not None:
         return fallback
-    raise UnknownVariableError(f"{where}: needed a column for {what}, got {', '.join(names.values())}; name it with {what}=")
+    raise UnknownVariableError(
+        f"{where}: needed a column for {what}, got {', '.join(names.values())}; name it with {what}="
+    )
 
 
 def _floats(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any, Any]:
@@ -427,7 +433,9 @@ def track_from_pandas(
     if missing not in ("error", "drop"):
         raise InvalidInputError(f"missing: needed 'error' or 'drop', got '{missing}'")
     names = {str(c).lower(): str(c) for c in table.columns}
-    time_name = _pick(table, time, (), "time", where) if time else next((names[n] for n in _TIME_NAMES if n in names), None)
+    time_name = (
+        _pick(table, time, (), "time", where) if time else next((names[n] for n in _TIME_NAMES if n in names), None)
+    )
     columns = [_floats(table, c, where) for c in (x_name, y_name, value_name)]
     seconds = None if time_name is None else _seconds(table, time_name, where)
     bad = ~np.isfinite(np.column_stack(columns)).all(axis=1)

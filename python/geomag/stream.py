@@ -65,7 +65,8 @@ def read_csv(lines: Iterable[str]) -> Iterator[Sample]:
             raise InvalidInputError(f"line {number}: needed numbers x,y,value, got {line!r}") from error
         if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(f"line {number}: needed finite x,y,value or time,x,y,value, got {line!r}")
-        yield Sample(*numbers[-3:], time_s=numbers[0] if len(numbers) == 4 else None)
+        x, y, value = numbers[-3:]
+        yield Sample(x, y, value, numbers[0] if len(numbers) == 4 else None)
 
 
 def _sentence(line: str, number: int) -> list[str] | None:

@@ -35,7 +35,10 @@ def run(context: Context) -> Report:
 
     n = context.trials(500)
     table = []
-    for label, on_grid in (("INS error on the lattice, as in the paper", True), ("INS error anywhere, as in life", False)):
+    for label, on_grid in (
+        ("INS error on the lattice, as in the paper", True),
+        ("INS error anywhere, as in life", False),
+    ):
         ends = [run_iema(grid, draw(rng, grid, 40, SIGMA, on_grid=on_grid), SIGMA) for _ in range(n)]
         fixed = [e for e in ends if e.status == "fixed"]
         wrong = sum(e.error_cells > 1.0 for e in fixed)

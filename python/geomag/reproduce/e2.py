@@ -81,7 +81,11 @@ def _picture(context: Context, cases: dict[str, list[Outcome]]):  # type: ignore
             right = [e.samples for e in ends if e.status == "fixed" and e.error_cells <= 1.0]
             wrong = [e.samples for e in ends if e.status == "fixed" and e.error_cells > 1.0]
             ax.hist(
-                [right, wrong], bins, stacked=True, label=["right", "wrong"], color=[COLOURS["matched"], COLOURS["indicated"]]
+                [right, wrong],
+                bins,
+                stacked=True,
+                label=["right", "wrong"],
+                color=[COLOURS["matched"], COLOURS["indicated"]],
             )
             ax.set_title(label, fontsize=9)
             ax.set_xlabel("samples until a single candidate is left")

@@ -87,7 +87,11 @@ def run(context: Context) -> Report:
             ("", "times", "right"),
             (
                 ("IEMA, ms a step", ", ".join(map(str, PUBLISHED_IEMA_MS)), "at step 6"),
-                ("MSD, ms by length", ", ".join(f"{k}: {v}" for k, v in PUBLISHED_MSD_MS.items()), "at length 9, wrong up to 8"),
+                (
+                    "MSD, ms by length",
+                    ", ".join(f"{k}: {v}" for k, v in PUBLISHED_MSD_MS.items()),
+                    "at length 9, wrong up to 8",
+                ),
             ),
         )
     )
