@@ -212,7 +212,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         Status::AtEdge
     } else if fit.uninformative(field, &lattice, newest[1]) {
         Status::Uninformative
-    } else if runner_up.is_some_and(|r| search.ambiguous(best_score, r.score, fit.samples)) {
+    } else if runner_up.is_some_and(|r| search.ambiguous(best_score, r.score, fit.samples, spread(track.values()))) {
         Status::Ambiguous
     } else {
         Status::Fixed
@@ -239,20 +239,35 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
 impl GridSearch {
     /// Whether a runner-up is too near. With a noise model: its likelihood, half of the samples counted as independent
     /// (their errors are not), is more than `ambiguity` of the best's. Without: its score is within a twentieth.
-    fn ambiguous(&self, best: f64, runner_up: f64, samples: usize) -> bool {
+    ///
+    /// Where the noise is estimated it is taken to be at least a millionth of the `spread` of the readings, so that the
+    /// rounding of two perfect fits does not choose between them.
+    fn ambiguous(&self, best: f64, runner_up: f64, samples: usize, spread: f64) -> bool {
         let n = 0.5 * samples as f64;
+        let least = 1e-6 * spread;
+        let ratio = |floor: f64| ((runner_up + floor) / (best + floor)).ln();
         let log_ratio = match (self.criterion, self.robust, self.sigma) {
             (Criterion::Prod, _, _) => return -runner_up > 0.95 * -best,
             (Criterion::Hausdorff { .. }, _, _) => return runner_up < 1.05 * best,
             (Criterion::Msd, Some(Robust::StudentT { .. }), _) => 0.5 * n * (runner_up - best),
             (Criterion::Msd, None, Some(sigma)) => 0.5 * n * (runner_up - best) / (sigma * sigma),
-            (Criterion::Msd, _, _) => 0.5 * n * (runner_up / best).ln(),
-            (Criterion::Mad, _, _) => n * (runner_up / best).ln(),
-            (Criterion::Ncc, _, _) => 0.5 * n * ((1.0 - runner_up * runner_up.abs()) / (1.0 - best * best.abs())).ln(),
+            (Criterion::Msd, _, _) => 0.5 * n * ratio(least * least),
+            (Criterion::Mad, _, _) => n * ratio(least),
+            (Criterion::Ncc, _, _) => {
+                let unexplained = |score: f64| 1.0 - score * score.abs() + 1e-12;
+                0.5 * n * (unexplained(runner_up) / unexplained(best)).ln()
+            }
         };
         // Written so that 0 / 0, two perfect fits, is ambiguous.
         !(log_ratio >= -self.ambiguity.ln())
     }
+}
+
+/// Standard deviation of the readings.
+fn spread(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
 }
 
 /// Progress of one placement as part of the whole.
