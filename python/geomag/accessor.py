@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from geomag._geomag import Fix, GridMap, Iema, Track, match_grid
 from geomag._optional import require
@@ -43,14 +43,16 @@ class GeomagAccessor:
         """The array as a `GridMap`, made once."""
         return GridMap.from_xarray(self._data)
 
-    def sample(self, x: ArrayLike, y: ArrayLike, method: str = "bilinear") -> NDArray[np.float64]:
+    def sample(
+        self, x: ArrayLike, y: ArrayLike, method: Literal["bilinear", "bicubic"] = "bilinear"
+    ) -> NDArray[np.float64]:
         """Values at points; NaN off the map."""
-        found: NDArray[np.float64] = self.grid.sample(x, y, method=method)  # type: ignore[arg-type]
+        found: NDArray[np.float64] = self.grid.sample(x, y, method=method)
         return found
 
     def match(self, track: Track, criterion: str = "msd", **options: Any) -> Fix:  # noqa: ANN401 - passed on
         """Match a track with a similarity measure (`geomag.match_grid`)."""
-        return match_grid(self.grid, track, criterion, **options)  # type: ignore[arg-type]
+        return match_grid(self.grid, track, criterion, **options)
 
     def iema(self, **options: Any) -> Iema:  # noqa: ANN401 - passed on
         """Return a streaming matcher on this map (`geomag.Iema`)."""

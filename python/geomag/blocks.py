@@ -1,9 +1,9 @@
 """Large grids block by block: chunks in, chunks out, within a bound of memory.
 
 A local computation on a map (its value at a node needs the map only within some reach of it) is done block by block,
-each block with a border (halo) as wide as that reach. The result is the same, bit for bit, for any cut into blocks. With
-a chunked (Dask) array the result is lazy and runs wherever Dask runs; with a plain array the blocks are done one after
-the other.
+each block with a border (halo) as wide as that reach. The result is the same, bit for bit, for any cut into blocks.
+With a chunked (Dask) array the result is lazy and runs wherever Dask runs; with a plain array the blocks are done one
+after the other.
 """
 
 from __future__ import annotations
@@ -95,9 +95,10 @@ def blockwise(
     y_name, x_name = (str(d) for d in data.dims)
     y, x = (np.asarray(data[d], dtype=np.float64) for d in (y_name, x_name))
     rows, columns = data.shape
-    lazy = data.chunks is not None
-    if lazy:
-        row_sizes, column_sizes = (list(c) for c in data.chunks)
+    chunks = data.chunks
+    lazy = chunks is not None
+    if chunks is not None:
+        row_sizes, column_sizes = (list(c) for c in chunks)
     else:
         size = (_DEFAULT_BLOCK,) * 2 if block is None else (block, block) if isinstance(block, int) else block
         if min(size) < 1:

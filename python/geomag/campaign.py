@@ -450,7 +450,7 @@ def _run_in_python(plan: Campaign, methods: Mapping[str, Matcher], trials: Seque
     for trial in trials:
         flight = plan.flight(trial)
         for name, matcher in methods.items():
-            fix = matcher(plan.grid, flight.track)
+            fix: object = matcher(plan.grid, flight.track)
             if not isinstance(fix, Fix):
                 got = type(fix).__name__
                 raise InvalidInputError(f"method {name!r}: needed a callable that returns a Fix, got {got}")

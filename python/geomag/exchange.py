@@ -48,12 +48,12 @@ def track_from_pandas(
     seconds = None
     if time is not None:
         stamps = frame[time]
-        if np.issubdtype(stamps.dtype, np.datetime64) or hasattr(stamps.dtype, "tz"):
+        if getattr(stamps.dtype, "kind", "") == "M":
             seconds = (stamps - stamps.iloc[0]).dt.total_seconds().to_numpy()
         else:
             seconds = stamps.to_numpy(dtype=np.float64)
-    columns = (frame[c].to_numpy(dtype=np.float64) for c in (x, y, value))
-    return Track(*columns, time_s=seconds)
+    xs, ys, values = (frame[c].to_numpy(dtype=np.float64) for c in (x, y, value))
+    return Track(xs, ys, values, seconds)
 
 
 def track_to_pandas(track: Track) -> pd.DataFrame:
@@ -67,7 +67,7 @@ def track_to_pandas(track: Track) -> pd.DataFrame:
 
 def _flat(fix: Fix) -> dict[str, Any]:
     """The numbers of a fix, one a column."""
-    d = fix.to_dict()
+    d: dict[str, Any] = fix.to_dict()
     covariance = d.pop("covariance_m2")
     offset, offset_m = d.pop("offset"), d.pop("offset_m")
     d["offset_x"], d["offset_y"] = offset

@@ -39,7 +39,7 @@ class _Step(Protocol):
 class Matcher(Protocol):
     """A streaming matcher: `Iema`, `PosteriorMatcher` and their like."""
 
-    def update(self, x: float, y: float, value: float) -> _Step:
+    def update(self, x: float, y: float, value: float) -> _Step | Fix:
         """Take one sample."""
         ...
 

@@ -11,8 +11,7 @@ from geomag._optional import require
 
 require("typer", "cli", "the geomag command")
 
-import click  # noqa: E402 - comes with typer, whose absence is reported above
-import typer  # noqa: E402
+import typer  # noqa: E402 - after the check that it is there
 
 NO_FIX = 3
 BAD_INPUT = 1
@@ -70,16 +69,18 @@ def run(arguments: Sequence[str]) -> int:
 
         with recorded(typer.main.get_command(app), arguments) as command:
             result = command.main(list(arguments), prog_name="geomag", standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as help_shown:
-        sys.stderr.write(f"{help_shown.format_message()}\n")
-        return BAD_INPUT
-    except click.ClickException as error:
-        sys.stderr.write(f"geomag: {error.format_message()}\n")
-        return BAD_INPUT
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         sys.stderr.write("geomag: interrupted\n")
         return 130
     except GeomagError as error:
         sys.stderr.write("geomag: " + str(error).replace("\n", " ") + "\n")
+        return BAD_INPUT
+    except Exception as error:
+        # Usage errors are click's, but recent versions of typer carry a click of their own: known by what they can do.
+        message = getattr(error, "format_message", None)
+        if message is None:
+            raise
+        prefix = "" if type(error).__name__ == "NoArgsIsHelpError" else "geomag: "
+        sys.stderr.write(f"{prefix}{message()}\n")
         return BAD_INPUT
     return result if isinstance(result, int) else 0

@@ -7,13 +7,17 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from geomag._errors import InvalidInputError, MissingFileError, ReadError
 from geomag._versions import write_record
 
 
-def read_settings(path: Path, group: Any) -> dict[str, Any]:
+#: A command of click, or of the copy that recent versions of typer carry.
+Command: TypeAlias = Any
+
+
+def read_settings(path: Path, group: Command) -> dict[str, Any]:
     """Defaults for the commands from a TOML file; unknown tables and options are refused by name."""
     if not path.exists():
         raise MissingFileError(f"settings file {path}: not found")
@@ -24,7 +28,7 @@ def read_settings(path: Path, group: Any) -> dict[str, Any]:
     return _checked(told, group, str(path), "")
 
 
-def _checked(told: dict[str, Any], command: Any, path: str, table: str) -> dict[str, Any]:
+def _checked(told: dict[str, Any], command: Command, path: str, table: str) -> dict[str, Any]:
     commands: dict[str, Any] = getattr(command, "commands", {})
     options = {p.name or "": p for p in command.params if table}
     out: dict[str, Any] = {}
@@ -41,16 +45,16 @@ def _checked(told: dict[str, Any], command: Any, path: str, table: str) -> dict[
     return out
 
 
-def _walk(command: Any) -> Iterator[Any]:
+def _walk(command: Command) -> Iterator[Command]:
     yield command
     for inner in getattr(command, "commands", {}).values():
         yield from _walk(inner)
 
 
 @contextmanager
-def recorded(command: Any, arguments: Sequence[str]) -> Iterator[Any]:
+def recorded(command: Command, arguments: Sequence[str]) -> Iterator[Command]:
     """The command, which after its run leaves a record where `--record` asked for one."""
-    seen: list[tuple[Any, dict[str, Any]]] = []
+    seen: list[tuple[Command, dict[str, Any]]] = []
     for each in _walk(command):
         _note(each, seen)
     yield command
@@ -60,12 +64,12 @@ def recorded(command: Any, arguments: Sequence[str]) -> Iterator[Any]:
         write_record(target, settings, command=shlex.join(["geomag", *arguments]))
 
 
-def _note(command: Any, seen: list[tuple[Any, dict[str, Any]]]) -> None:
+def _note(command: Command, seen: list[tuple[Command, dict[str, Any]]]) -> None:
     """Have a command note its resolved options when it runs."""
     invoke = command.invoke
 
-    def noting(context: click.Context) -> object:
+    def noting(context: Any) -> object:  # noqa: ANN401 - click's, or typer's own
         seen.append((command, dict(context.params)))
         return invoke(context)
 
-    command.invoke = noting  # type: ignore[method-assign]
+    command.invoke = noting

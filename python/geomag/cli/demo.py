@@ -13,7 +13,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.cli import NO_FIX, app
-from geomag.cli._common import describe, half_width
+from geomag.cli._common import describe
 from geomag.cli.match import draw, solve
 from geomag.io import read_grid
 

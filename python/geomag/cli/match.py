@@ -16,7 +16,6 @@ from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
 
-
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
 
@@ -92,7 +91,13 @@ def match(
     if plot is not None:
         draw(grid, samples, fix, plot, method.value, steps)
     if report is not None:
-        told = {"map": map, "track": track, "method": method.value, "half-width-m": reach, "sigma": sigma}
+        told: dict[str, object] = {
+            "map": map,
+            "track": track,
+            "method": method.value,
+            "half-width-m": reach,
+            "sigma": sigma,
+        }
         told |= {"tolerance-m": tolerance_m, "max-misses": max_misses, "heading-deg": heading_deg}
         write_report(grid, samples, fix, report, method.value, steps, told)
     if geojson is not None:
