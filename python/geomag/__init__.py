@@ -42,6 +42,7 @@ from geomag._geomag import (
     __version__,
     match_grid,
 )
+from geomag._versions import show_versions
 from geomag.io import read_grid, read_track
 
 __all__ = [
@@ -68,4 +69,5 @@ __all__ = [
     "match_grid",
     "read_grid",
     "read_track",
+    "show_versions",
 ]

@@ -69,6 +69,8 @@ def match(
     drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Write a picture to this file.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a self-contained HTML page to this file.")] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write track and fix as GeoJSON to this file.")] = None,
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
     grid = read_grid(map, variable, geographic=geographic)
@@ -84,10 +86,25 @@ def match(
         tolerance_m=tolerance_m,
         max_misses=max_misses,
         heading_deg=heading_deg,
-        surface=plot is not None,
+        surface=plot is not None or report is not None,
     )
     if plot is not None:
         draw(grid, samples, fix, plot, method.value, steps)
+    if report is not None:
+        told: dict[str, object] = {
+            "map": map,
+            "track": track,
+            "method": method.value,
+            "half-width-m": reach,
+            "sigma": sigma,
+        }
+        told |= {"tolerance-m": tolerance_m, "max-misses": max_misses, "heading-deg": heading_deg}
+        write_report(grid, samples, fix, report, method.value, steps, told)
+    if geojson is not None:
+        from geomag.exchange import write_geojson
+
+        crs = None if grid.geographic else grid.crs
+        write_geojson(geojson, {"indicated": samples, "fix": fix}, crs=crs)
     if json_:
         typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
     else:
@@ -170,3 +187,29 @@ def draw(
         least_is_best=method not in ("prod", "ncc"),
     )
     save(figure, path)
+
+
+def write_report(
+    grid: GridMap,
+    track: Track,
+    fix: Fix,
+    path: Path,
+    method: str,
+    steps: list[Feasible],
+    settings: dict[str, object],
+) -> None:
+    """Write the HTML page of a match."""
+    from geomag.plot import Frame
+    from geomag.report import match_report
+
+    match_report(
+        path,
+        grid,
+        track,
+        fix,
+        steps=[Frame(*step) for step in steps] or None,
+        surface_label=method,
+        least_is_best=method not in ("prod", "ncc"),
+        settings=settings,
+        title=f"Match of {settings['track']} on {settings['map']}",
+    )

@@ -11,6 +11,7 @@ use geomag_core::state;
 use pyo3::prelude::*;
 
 mod arrays;
+mod campaign;
 mod error;
 mod fix;
 mod grid;
@@ -22,6 +23,8 @@ mod track;
 
 #[pymodule(gil_used = false)]
 mod _geomag {
+    #[pymodule_export]
+    use crate::campaign::{campaign_flight, campaign_rows};
     #[pymodule_export]
     use crate::fix::PyFix;
     #[pymodule_export]
