@@ -16,3 +16,4 @@ pub mod fix;
 pub mod frame;
 pub mod grid;
 pub mod track;
+pub mod matching;
