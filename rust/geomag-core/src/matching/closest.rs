@@ -41,7 +41,7 @@ pub fn closest_contour_point(map: &GridMap, x: f64, y: f64, value: f64, radius_m
     require_finite("contour value", &[value])?;
     check_radius(radius_m)?;
     let cell_m = cell_size_m(map, y);
-    let found = closest_in_cells(map, map.position(x, y), value, cell_m, radius_m);
+    let found = closest_in_cells(map, map.position(x, y), value, cell_m, 0.0, radius_m);
     Ok(found.map(|(at, distance_m)| ContourPoint {
         x: map.x().first() + at[0] * map.x().step(),
         y: map.y().first() + at[1] * map.y().step(),
@@ -61,17 +61,20 @@ pub(crate) fn cell_size_m(map: &GridMap, y: f64) -> [f64; 2] {
 }
 
 /// The same search in cells from the first node: place and distance in metres.
+///
+/// `clear_m` is a distance within which the caller knows that there is no contour; 0 where nothing is known.
 pub(crate) fn closest_in_cells(
     map: &GridMap,
     position: [f64; 2],
     value: f64,
     cell_m: [f64; 2],
+    clear_m: f64,
     radius_m: f64,
 ) -> Option<([f64; 2], f64)> {
     let shape = [map.x().len(), map.y().len()];
     match map.values() {
-        GridValues::F32(v) => Search::new(v, shape, position, value, cell_m, radius_m).run(),
-        GridValues::F64(v) => Search::new(v, shape, position, value, cell_m, radius_m).run(),
+        GridValues::F32(v) => Search::new(v, shape, position, value, cell_m, radius_m).run(clear_m),
+        GridValues::F64(v) => Search::new(v, shape, position, value, cell_m, radius_m).run(clear_m),
     }
 }
 
@@ -88,26 +91,21 @@ struct Search<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> Search<'a, T> {
-    fn new(
-        values: &'a [T],
-        shape: [usize; 2],
-        point: [f64; 2],
-        value: f64,
-        cell_m: [f64; 2],
-        radius_m: f64,
-    ) -> Self {
+    fn new(values: &'a [T], shape: [usize; 2], point: [f64; 2], value: f64, cell_m: [f64; 2], radius_m: f64) -> Self {
         let last = [shape[0] as i64 - 2, shape[1] as i64 - 2];
         // A contour at the radius itself still counts.
         let best_squared = (radius_m * radius_m).next_up();
         Self { values, columns: shape[0], last, point, value, cell_m, best: None, best_squared }
     }
 
-    fn run(mut self) -> Option<([f64; 2], f64)> {
+    fn run(mut self, clear_m: f64) -> Option<([f64; 2], f64)> {
         let [px, py] = self.point;
         let (cx, cy) = (px.floor() as i64, py.floor() as i64);
         let (tx, ty) = (px - px.floor(), py - py.floor());
         let outside = |c: i64, last: i64| if c < 0 { c.saturating_neg() } else { (c - last).max(0) };
-        let mut ring = outside(cx, self.last[0]).max(outside(cy, self.last[1]));
+        // Cells of ring r lie within (r + 1) cell diagonals: rings inside the clear disc hold nothing.
+        let cleared = (clear_m / self.cell_m[0].hypot(self.cell_m[1])) as i64;
+        let mut ring = outside(cx, self.last[0]).max(outside(cy, self.last[1])).max(cleared);
         if ring == 0 {
             self.row(cy, cx, cx);
             ring = 1;
@@ -169,8 +167,7 @@ impl<'a, T: Copy + Into<f64>> Search<'a, T> {
             self.values[i + self.columns + 1].into(),
         ];
         let v = self.value;
-        let code =
-            usize::from(a > v) | usize::from(b > v) << 1 | usize::from(c > v) << 2 | usize::from(d > v) << 3;
+        let code = usize::from(a > v) | usize::from(b > v) << 1 | usize::from(c > v) << 2 | usize::from(d > v) << 3;
         // NaN compares as below, so a cell of holes alone ends here too.
         if code != 0 && code != 15 {
             self.segments(code, [a, b, c, d], column as f64, row as f64);

@@ -153,7 +153,8 @@ pub fn match_channels(
         let motions: Vec<Motion> = starts.iter().map(|&o| Motion::offset(o)).collect();
         return Ok(answer(&scene, &options.refinement, &motions, 0, Some(half_width_m)));
     }
-    let outcomes: Vec<Outcome> = starts.iter().map(|&start| matcher.run(Transform { shift: start, ..Transform::IDENTITY })).collect();
+    let outcomes: Vec<Outcome> =
+        starts.iter().map(|&start| matcher.run(Transform { shift: start, ..Transform::IDENTITY })).collect();
     let Some(best) = winner(&outcomes) else {
         return Ok(Fix::none(Status::Lost, n));
     };
@@ -175,7 +176,7 @@ fn winner(outcomes: &[Outcome]) -> Option<usize> {
 }
 
 /// The motion about the newest point that a transform in metres from the newest point amounts to.
-fn motion_of(t: &Transform) -> Motion {
+pub(crate) fn motion_of(t: &Transform) -> Motion {
     Motion { offset_m: t.shift, heading_rad: -t.rotation_rad(), stretch: t.scale() - 1.0 }
 }
 
@@ -257,7 +258,9 @@ impl<'a> Iccp<'a> {
             }
             let total: f64 = weights.iter().sum();
             if total > 0.0 {
-                weights.iter_mut().for_each(|w| *w /= total);
+                for w in &mut weights {
+                    *w /= total;
+                }
             } else {
                 weights.fill(1.0 / scene.channels.len() as f64);
             }
@@ -271,6 +274,7 @@ impl<'a> Iccp<'a> {
     /// Iterates from a start.
     pub fn run(&self, start: Transform) -> Outcome {
         let mut pairs = Pairs::with_capacity(self.scene.len() * self.scene.channels.len());
+        let mut hints = self.no_hints();
         let mut now = start;
         let mut anderson = Anderson::new(self.options.acceleration);
         let mut last_objective = f64::INFINITY;
@@ -280,7 +284,7 @@ impl<'a> Iccp<'a> {
         let (mut reached, mut distance_squared) = (0, f64::NAN);
         while iterations < self.options.max_iterations {
             iterations += 1;
-            let look = match self.look(&now, &mut pairs) {
+            let look = match self.look(&now, &mut pairs, &mut hints) {
                 Ok(look) => look,
                 Err(seen) => {
                     if let Some(plain) = fallback.take() {
@@ -306,19 +310,27 @@ impl<'a> Iccp<'a> {
                 end = End::Converged;
                 break;
             }
-            match anderson.next(self.coordinates(&now), self.coordinates(&look.next)) {
-                Some(coordinates) => {
-                    fallback = Some(look.next);
-                    now = self.transform(coordinates);
-                }
-                None => {
-                    fallback = None;
-                    now = look.next;
-                }
+            if let Some(coordinates) = anderson.next(self.coordinates(&now), self.coordinates(&look.next)) {
+                fallback = Some(look.next);
+                now = self.transform(coordinates);
+            } else {
+                fallback = None;
+                now = look.next;
             }
         }
         let misfit = self.scene.misfit(&|k| self.displacement(&now, k), false, 1);
         Outcome { transform: now, end, iterations, reached, distance_squared, misfit }
+    }
+
+    fn no_hints(&self) -> Vec<Hint> {
+        vec![Hint::NONE; self.scene.len() * self.scene.channels.len()]
+    }
+
+    /// Mean square distance of the points that `t` gives from their contours; `None` where too few have one in reach.
+    pub fn distance_squared(&self, t: &Transform) -> Option<f64> {
+        self.look(t, &mut Pairs::with_capacity(self.scene.len()), &mut self.no_hints())
+            .ok()
+            .map(|look| look.distance_squared)
     }
 
     #[inline]
@@ -338,7 +350,7 @@ impl<'a> Iccp<'a> {
 
     /// Closest contour points from the places that `t` gives, and the transform that goes there; the number of points in
     /// reach where they are too few.
-    fn look(&self, t: &Transform, pairs: &mut Pairs) -> std::result::Result<Look, usize> {
+    fn look(&self, t: &Transform, pairs: &mut Pairs, hints: &mut [Hint]) -> std::result::Result<Look, usize> {
         let radius = self.options.radius_m;
         pairs.clear();
         let (mut objective, mut seen_weight, mut squares) = (0.0, 0.0, 0.0);
@@ -354,7 +366,11 @@ impl<'a> Iccp<'a> {
                 }
                 let placement = &self.scene.placements[c][k];
                 let at = placement.position(moved);
-                match closest_in_cells(channel.map, at, channel.values[k], placement.cell_m, radius) {
+                let hint = &mut hints[c * self.scene.len() + k];
+                let [clear, reach] = hint.bounds(at, placement.cell_m, radius);
+                let found = closest_in_cells(channel.map, at, channel.values[k], placement.cell_m, clear, reach);
+                *hint = Hint { at, distance: found.map_or(radius, |f| f.1), place: found.map(|f| f.0) };
+                match found {
                     Some((place, distance)) => {
                         any = true;
                         let target = [
@@ -431,8 +447,7 @@ impl<'a> Iccp<'a> {
                 let turned = [cos * p[0] - sin * p[1], sin * p[0] + cos * p[1]];
                 let scale = 1.0 + q[3];
                 let r = [q[0] + scale * turned[0] - y[0], q[1] + scale * turned[1] - y[1]];
-                let columns =
-                    [[1.0, 0.0], [0.0, 1.0], [-scale * turned[1], scale * turned[0]], [turned[0], turned[1]]];
+                let columns = [[1.0, 0.0], [0.0, 1.0], [-scale * turned[1], scale * turned[0]], [turned[0], turned[1]]];
                 for i in 0..used {
                     gradient[i] += w * (columns[i][0] * r[0] + columns[i][1] * r[1]);
                     for j in 0..used {
@@ -484,13 +499,15 @@ impl<'a> Iccp<'a> {
     fn transform(&self, c: [f64; 6]) -> Transform {
         let l = self.lever_m;
         match self.options.transform {
-            TransformKind::Affine => Transform { matrix: [[c[2] / l, c[3] / l], [c[4] / l, c[5] / l]], shift: [c[0], c[1]] },
+            TransformKind::Affine => {
+                Transform { matrix: [[c[2] / l, c[3] / l], [c[4] / l, c[5] / l]], shift: [c[0], c[1]] }
+            }
             _ => Transform::similarity(c[2] / l, c[3] / l, [c[0], c[1]]),
         }
     }
 
     /// The common answer for the outcomes of all starts.
-    fn fix(&self, outcomes: &[Outcome], best: usize) -> Fix {
+    pub(crate) fn fix(&self, outcomes: &[Outcome], best: usize) -> Fix {
         let outcome = &outcomes[best];
         let n = self.scene.len();
         // Further than contours were looked for from the indicated point: the track has run away along its contours.
@@ -552,9 +569,36 @@ fn require_spread(scene: &Scene<'_>, kind: TransformKind) -> Result<()> {
         return Err(deficient(0, "all points of the track coincide: use translation"));
     }
     if kind == TransformKind::Affine && across < STRAIGHT * STRAIGHT * along {
-        return Err(deficient(1, "the track is a straight line, across which an affine transform is free: use similarity"));
+        return Err(deficient(
+            1,
+            "the track is a straight line, across which an affine transform is free: use similarity",
+        ));
     }
     Ok(())
+}
+
+/// The last search of a point: what is found bounds the next search from both sides, and changes no answer.
+#[derive(Debug, Clone, Copy)]
+struct Hint {
+    /// Where it was, cells.
+    at: [f64; 2],
+    /// Distance in metres within which there was no contour.
+    distance: f64,
+    /// The closest point, cells.
+    place: Option<[f64; 2]>,
+}
+
+impl Hint {
+    const NONE: Self = Self { at: [0.0; 2], distance: 0.0, place: None };
+
+    /// The distance up to which a place is clear of the contour, and that up to which it must be searched, metres.
+    fn bounds(&self, at: [f64; 2], cell_m: [f64; 2], radius_m: f64) -> [f64; 2] {
+        let apart = |p: [f64; 2]| ((p[0] - at[0]) * cell_m[0]).hypot((p[1] - at[1]) * cell_m[1]);
+        // A share of slack for rounding: a bound may be loose, never wrong.
+        let clear = if self.distance.is_finite() { (self.distance - apart(self.at)) * (1.0 - 1e-9) } else { 0.0 };
+        let reach = self.place.map_or(radius_m, |place| radius_m.min(apart(place) * (1.0 + 1e-9) + 1e-9));
+        [clear.max(0.0), reach]
+    }
 }
 
 /// Points and where they should go.

@@ -4,5 +4,8 @@ pub mod closest;
 pub mod contour;
 pub mod refine;
 pub mod scene;
+pub mod sequence;
+pub mod sliding;
 pub mod starts;
 pub mod transform;
+pub mod tuning;

@@ -264,8 +264,7 @@ impl<'a> Refiner<'a> {
             let bias = p.bias.map_or(0.0, |i| q[i + c]);
             for (i, &s) in white.used.iter().enumerate() {
                 let lever = self.scene.levers[s];
-                let (value, [ge, gn]) =
-                    self.scene.sample(c, s, motion.displacement(lever), self.options.interpolation);
+                let (value, [ge, gn]) = self.scene.sample(c, s, motion.displacement(lever), self.options.interpolation);
                 if value.is_nan() {
                     return None;
                 }
@@ -363,10 +362,7 @@ impl<'a> Refiner<'a> {
         let log_det_error: f64 = whitening.iter().map(|w| w.log_det).sum();
         Some(Minimum {
             motion: p.motion(&q),
-            biases: p.bias.map_or_else(
-                || vec![0.0; self.scene.channels.len()],
-                |i| q.as_slice()[i..].to_vec(),
-            ),
+            biases: p.bias.map_or_else(|| vec![0.0; self.scene.channels.len()], |i| q.as_slice()[i..].to_vec()),
             cost: now.cost,
             covariance,
             n_residuals: whitening.iter().map(|w| w.used.len()).sum(),
@@ -391,7 +387,12 @@ impl<'a> Refiner<'a> {
     pub fn run(&self, start: &Motion, noise: &[f64], correlation_m: f64) -> Option<Minimum> {
         let whitening = self.whitening(start, noise, correlation_m)?;
         let found = self.descend(start, &whitening)?;
-        if self.scene.channels.iter().all(|c| matches!(c.map.map_sigma(), None | Some(crate::grid::MapSigma::Constant(_)))) {
+        if self
+            .scene
+            .channels
+            .iter()
+            .all(|c| matches!(c.map.map_sigma(), None | Some(crate::grid::MapSigma::Constant(_))))
+        {
             return Some(found);
         }
         // The map's sigma, and which samples count, belong to the place: once more with those of the place found.
@@ -511,12 +512,8 @@ impl Refiner<'_> {
             Some(d) => vec![d],
             None if !has_sigma => vec![0.0],
             None => {
-                let mut gaps: Vec<f64> = self
-                    .scene
-                    .levers
-                    .windows(2)
-                    .map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]))
-                    .collect();
+                let mut gaps: Vec<f64> =
+                    self.scene.levers.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1])).collect();
                 gaps.sort_by(f64::total_cmp);
                 let gap = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
                 CORRELATION_TRIALS.iter().map(|m| m * gap).collect()
@@ -546,10 +543,8 @@ impl Refiner<'_> {
             }
         }
         for _ in 0..2 {
-            let best = starts
-                .iter()
-                .filter_map(|s| self.run(s, noise, 0.0))
-                .max_by(|a, b| a.log_mass.total_cmp(&b.log_mass));
+            let best =
+                starts.iter().filter_map(|s| self.run(s, noise, 0.0)).max_by(|a, b| a.log_mass.total_cmp(&b.log_mass));
             if let Some(best) = best {
                 for (c, unknown) in unknown.iter().enumerate() {
                     if *unknown {
@@ -575,10 +570,8 @@ fn mass_outside(tolerance: f64, best: &Minimum, minimum: &Minimum) -> f64 {
     let [[ee, en], [_, nn]] = minimum.position_covariance();
     let angle = 0.5 * (2.0 * en).atan2(ee - nn);
     let (sin, cos) = angle.sin_cos();
-    let apart = [
-        minimum.motion.offset_m[0] - best.motion.offset_m[0],
-        minimum.motion.offset_m[1] - best.motion.offset_m[1],
-    ];
+    let apart =
+        [minimum.motion.offset_m[0] - best.motion.offset_m[0], minimum.motion.offset_m[1] - best.motion.offset_m[1]];
     let mean = [cos * apart[0] + sin * apart[1], cos * apart[1] - sin * apart[0]];
     let sigma_u = (cos * cos * ee + 2.0 * sin * cos * en + sin * sin * nn).max(0.0).sqrt();
     let sigma_v = (sin * sin * ee - 2.0 * sin * cos * en + cos * cos * nn).max(0.0).sqrt();
@@ -612,7 +605,7 @@ fn mass_outside(tolerance: f64, best: &Minimum, minimum: &Minimum) -> f64 {
 /// its series and its continued fraction (Press et al., *Numerical Recipes*, section 6.2).
 pub(crate) fn chi_square_survival(value: f64, freedom: f64) -> f64 {
     let (a, x) = (0.5 * freedom, 0.5 * value);
-    if !(x > 0.0) {
+    if x <= 0.0 {
         return 1.0;
     }
     let front = (a * x.ln() - x - ln_gamma(a)).exp();

@@ -49,7 +49,7 @@ impl Priors {
             ("bias_sigma", self.bias_sigma),
         ] {
             if let Some(v) = value
-                && !(v > 0.0)
+                && (v.is_nan() || v <= 0.0)
             {
                 return Err(Error::invalid(name, "a number > 0 (infinity: no prior; leave it out: not estimated)", v));
             }
@@ -205,12 +205,7 @@ impl<'a> Scene<'a> {
 
     /// Mean square of measured minus map value over the samples on the map, in units of each channel's own sigma where
     /// there are several; `None` where fewer than `min_samples` samples are on the map.
-    pub fn misfit(
-        &self,
-        displacement: &dyn Fn(usize) -> [f64; 2],
-        unbiased: bool,
-        min_samples: usize,
-    ) -> Option<f64> {
+    pub fn misfit(&self, displacement: &dyn Fn(usize) -> [f64; 2], unbiased: bool, min_samples: usize) -> Option<f64> {
         let (mut total, mut weight_total) = (0.0, 0.0);
         let mut seen = 0;
         for (c, channel) in self.channels.iter().enumerate() {

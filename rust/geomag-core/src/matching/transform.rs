@@ -183,7 +183,7 @@ impl Sums {
         };
         // Rounding of the centroid alone gives this much spread.
         let rounding = self.weight * (p0[0].hypot(p0[1]) * 4.0 * f64::EPSILON).powi(2);
-        if kind != TransformKind::Translation && !(spread > rounding) {
+        if kind != TransformKind::Translation && spread <= rounding {
             return Err(deficient(0, "all points coincide, so a rotation has no lever"));
         }
         let (dot, cross) = (qp[0][0] + qp[1][1], qp[1][0] - qp[0][1]);
