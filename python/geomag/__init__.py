@@ -36,8 +36,11 @@ from geomag._errors import (
 from geomag._geomag import (
     Fix,
     GridMap,
+    Iema,
+    IemaStep,
     Track,
     __version__,
+    match_grid,
 )
 
 __all__ = [
@@ -45,6 +48,8 @@ __all__ = [
     "Fix",
     "GeomagError",
     "GridMap",
+    "Iema",
+    "IemaStep",
     "InvalidInputError",
     "MissingDependencyError",
     "MissingFileError",
@@ -59,4 +64,5 @@ __all__ = [
     "Track",
     "UnknownVariableError",
     "__version__",
+    "match_grid",
 ]

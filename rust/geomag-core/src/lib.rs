@@ -15,7 +15,11 @@ pub mod field;
 pub mod fix;
 pub mod frame;
 pub mod grid;
+<<<<<<< HEAD
 pub mod kalman;
+=======
+pub mod lattice;
+>>>>>>> main
 pub mod matching;
 pub mod monitor;
 pub mod navigation;

@@ -131,7 +131,7 @@ impl PyGridMap {
             GridValues::F64(v) => shaped(py, v.clone(), &shape),
             GridValues::F32(v) => {
                 let array = numpy::PyArray1::from_slice(py, v);
-                Ok(array.reshape(shape).map_err(PyErr::from)?.into_any())
+                Ok(array.reshape(shape)?.into_any())
             }
         }
     }
