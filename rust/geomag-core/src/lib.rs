@@ -15,11 +15,8 @@ pub mod field;
 pub mod fix;
 pub mod frame;
 pub mod grid;
-<<<<<<< HEAD
 pub mod kalman;
-=======
 pub mod lattice;
->>>>>>> main
 pub mod matching;
 pub mod monitor;
 pub mod navigation;

@@ -66,6 +66,19 @@ impl Default for ContourOptions {
 }
 
 impl ContourOptions {
+    /// The settings of the refinement: what the transform is free to do is estimated, under a flat prior where there is
+    /// none.
+    pub fn effective_refinement(&self) -> RefineOptions {
+        let mut out = self.refinement.clone();
+        if self.transform != TransformKind::Translation {
+            out.priors.heading_sigma_deg.get_or_insert(f64::INFINITY);
+        }
+        if matches!(self.transform, TransformKind::Similarity | TransformKind::Affine) {
+            out.priors.scale_sigma.get_or_insert(f64::INFINITY);
+        }
+        out
+    }
+
     /// Refuses settings that cannot be used.
     ///
     /// # Errors
@@ -151,7 +164,7 @@ pub fn match_channels(
     {
         // After a search of the lattice the contours have nothing to add: the misfit itself is minimised from there.
         let motions: Vec<Motion> = starts.iter().map(|&o| Motion::offset(o)).collect();
-        return Ok(answer(&scene, &options.refinement, &motions, 0, Some(half_width_m)));
+        return Ok(answer(&scene, &options.effective_refinement(), &motions, 0, Some(half_width_m)));
     }
     let outcomes: Vec<Outcome> =
         starts.iter().map(|&start| matcher.run(Transform { shift: start, ..Transform::IDENTITY })).collect();
@@ -161,7 +174,7 @@ pub fn match_channels(
     if options.refine {
         let motions: Vec<Motion> =
             outcomes.iter().filter(|o| o.end != End::OutOfReach).map(|o| motion_of(&o.transform)).collect();
-        return Ok(answer(&scene, &options.refinement, &motions, outcomes[best].iterations, None));
+        return Ok(answer(&scene, &options.effective_refinement(), &motions, outcomes[best].iterations, None));
     }
     Ok(matcher.fix(&outcomes, best))
 }
@@ -510,13 +523,15 @@ impl<'a> Iccp<'a> {
     pub(crate) fn fix(&self, outcomes: &[Outcome], best: usize) -> Fix {
         let outcome = &outcomes[best];
         let n = self.scene.len();
+        if outcome.end == End::OutOfReach {
+            return Fix { iterations: outcome.iterations, ..Fix::none(Status::Lost, outcome.reached) };
+        }
         // Further than contours were looked for from the indicated point: the track has run away along its contours.
         let run_away = outcome.transform.shift[0].hypot(outcome.transform.shift[1]) > self.options.radius_m;
         let status = match outcome.end {
             End::Converged if run_away => Status::AtEdge,
             End::Converged => Status::Fixed,
-            End::IterationLimit => Status::NotConverged,
-            End::OutOfReach => Status::Lost,
+            End::IterationLimit | End::OutOfReach => Status::NotConverged,
         };
         let displacements: Vec<[f64; 2]> = (0..n).map(|k| self.displacement(&outcome.transform, k)).collect();
         let motion = motion_of(&outcome.transform);

@@ -435,7 +435,9 @@ pub(crate) fn answer(
     }
     let minima = refiner.minima(&noise, starts);
     let Some(best) = minima.first() else {
-        return Fix::none(Status::Lost, n);
+        // Equations without a solution leave a direction open; no equations at all leave everything.
+        let placed = starts.iter().any(|s| refiner.whitening(s, &noise, 0.0).is_some());
+        return Fix::none(if placed { Status::Uninformative } else { Status::Lost }, n);
     };
     let masses: Vec<f64> = minima.iter().map(|m| (m.log_mass - best.log_mass).exp()).collect();
     let total: f64 = masses.iter().sum();
@@ -448,7 +450,13 @@ pub(crate) fn answer(
     let goodness = known.then(|| chi_square_survival(best.cost, freedom));
     let covariance = best.position_covariance();
     let spread = covariance[0][0] + covariance[1][1];
-    let known_before = options.priors.offset_sigma_m.map_or(f64::INFINITY, |s| 2.0 * s * s);
+    // What was known before: the prior, or that it lies in what was searched, or on the map (uniform: width^2 / 12).
+    let map = scene.channels[0].map;
+    let [east, north] = crate::matching::closest::cell_size_m(map, scene.track.newest()[1]);
+    let on_map =
+        ((east * (map.x().len() - 1) as f64).powi(2) + (north * (map.y().len() - 1) as f64).powi(2)) / 12.0;
+    let prior = options.priors.offset_sigma_m.map_or(f64::INFINITY, |s| 2.0 * s * s);
+    let known_before = prior.min(searched_m.map_or(f64::INFINITY, |half| 2.0 * half * half / 3.0)).min(on_map);
     let beyond = |m: f64| best.motion.offset_m.iter().any(|o| o.abs() > m);
     let status = if !best.converged {
         Status::NotConverged

@@ -150,7 +150,7 @@ impl SlidingState {
         }
         let (fix, transform, distance_squared) = if self.options.refine {
             let from = motion_of(&outcome.transform);
-            let fix = answer(&scene, &self.options.refinement, &[from], outcome.iterations, None);
+            let fix = answer(&scene, &self.options.effective_refinement(), &[from], outcome.iterations, None);
             if fix.x.is_nan() {
                 self.last = None;
                 return Ok(fix);
