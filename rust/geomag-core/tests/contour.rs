@@ -210,12 +210,8 @@ fn every_kind_of_transform_finds_a_clean_offset() {
 #[test]
 fn refinement_finds_offset_heading_scale_and_bias_with_honest_covariance() {
     let map = map_of(field);
-    let priors = Priors {
-        offset_sigma_m: Some(560.0),
-        heading_sigma_deg: Some(0.5),
-        scale_sigma: None,
-        bias_sigma: Some(20.0),
-    };
+    let priors =
+        Priors { offset_sigma_m: Some(560.0), heading_sigma_deg: Some(0.5), scale_sigma: None, bias_sigma: Some(20.0) };
     let options = ContourOptions {
         refine: true,
         starts: Starts::grid(1500.0, 250.0),
@@ -310,10 +306,7 @@ fn two_fields_beat_one() {
         Channel { map: &map, values: track.values(), sigma: None },
         Channel { map: &other, values: &others, sigma: Some(2.0) },
     ];
-    assert!(matches!(
-        match_channels(&no_sigma, &track, None, &ContourOptions::default()),
-        Err(Error::Invalid { .. })
-    ));
+    assert!(matches!(match_channels(&no_sigma, &track, None, &ContourOptions::default()), Err(Error::Invalid { .. })));
 }
 
 #[test]
@@ -405,7 +398,10 @@ fn sliding_window_goes_on_bit_for_bit_from_a_saved_state() {
         let [x, y] = track.point(k);
         let bytes = geomag_core::state::save("SlidingContour", &parts).unwrap();
         parts = geomag_core::state::load("SlidingContour", &bytes).unwrap();
-        let (a, b) = (whole.update(&map, x, y, track.values()[k]).unwrap(), parts.update(&map, x, y, track.values()[k]).unwrap());
+        let (a, b) = (
+            whole.update(&map, x, y, track.values()[k]).unwrap(),
+            parts.update(&map, x, y, track.values()[k]).unwrap(),
+        );
         assert_eq!(format!("{a:?}"), format!("{b:?}"));
         assert_eq!(a.status == Status::Searching, k < 11);
     }

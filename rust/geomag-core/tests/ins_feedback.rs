@@ -18,7 +18,8 @@ struct Drift {
 
 impl Drift {
     fn new(seed: u64, model: InsErrorModel) -> Self {
-        let mut d = Self { rng: Pcg64::seed_from_u64(seed), model, position: [0.0; 2], velocity: [0.0; 2], heading: 0.0 };
+        let mut d =
+            Self { rng: Pcg64::seed_from_u64(seed), model, position: [0.0; 2], velocity: [0.0; 2], heading: 0.0 };
         d.position = [0, 1].map(|_| model.position_sigma_m * d.z());
         d.velocity = [0, 1].map(|_| model.velocity_sigma_m_s * d.z());
         d.heading = model.heading_sigma_deg.to_radians() * d.z();

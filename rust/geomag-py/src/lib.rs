@@ -11,16 +11,21 @@ use geomag_core::state;
 use pyo3::prelude::*;
 
 mod arrays;
+mod contour;
 mod error;
 mod fix;
 mod grid;
 mod grid_search;
 mod iema;
+mod ins_feedback;
 mod long_call;
+mod sequence;
 mod track;
 
 #[pymodule(gil_used = false)]
 mod _geomag {
+    #[pymodule_export]
+    use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
     #[pymodule_export]
     use crate::fix::PyFix;
     #[pymodule_export]
@@ -29,6 +34,12 @@ mod _geomag {
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
+    #[pymodule_export]
+    use crate::sequence::{
+        PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
+    };
     #[pymodule_export]
     use crate::track::PyTrack;
 

@@ -453,8 +453,7 @@ pub(crate) fn answer(
     // What was known before: the prior, or that it lies in what was searched, or on the map (uniform: width^2 / 12).
     let map = scene.channels[0].map;
     let [east, north] = crate::matching::closest::cell_size_m(map, scene.track.newest()[1]);
-    let on_map =
-        ((east * (map.x().len() - 1) as f64).powi(2) + (north * (map.y().len() - 1) as f64).powi(2)) / 12.0;
+    let on_map = ((east * (map.x().len() - 1) as f64).powi(2) + (north * (map.y().len() - 1) as f64).powi(2)) / 12.0;
     let prior = options.priors.offset_sigma_m.map_or(f64::INFINITY, |s| 2.0 * s * s);
     let known_before = prior.min(searched_m.map_or(f64::INFINITY, |half| 2.0 * half * half / 3.0)).min(on_map);
     let beyond = |m: f64| best.motion.offset_m.iter().any(|o| o.abs() > m);
