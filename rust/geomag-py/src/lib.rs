@@ -20,6 +20,7 @@ mod iema;
 mod ins_feedback;
 mod long_call;
 mod sequence;
+mod synthetic;
 mod track;
 
 #[pymodule(gil_used = false)]
@@ -40,6 +41,8 @@ mod _geomag {
     use crate::sequence::{
         PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
     };
+    #[pymodule_export]
+    use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]
     use crate::track::PyTrack;
 
