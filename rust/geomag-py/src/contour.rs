@@ -359,7 +359,8 @@ pub fn py_match_contour(
 /// floor_m : float
 ///     Least contour distance that the averaging believes, metres.
 /// **options
-///     As for `match_contour` (transform, radius_m, refine, priors, ...).
+///     As for `match_contour` (transform, radius_m, refine, priors, ...); `starts` is for the first window, and after a
+///     loss.
 ///
 /// Source: Bai and Wang, Computer Simulation 30(6), 2013. The weights printed there are illegible; these are ours.
 ///
@@ -403,10 +404,10 @@ impl PySlidingContour {
     #[pyo3(
         signature = (grid, *, length, sigma = None, floor_m = 10.0, **options),
         text_signature = "(grid, *, length, sigma=None, floor_m=10.0, transform='rigid', radius_m=None, \
-            refine=False, stiffness=0.0, tolerance_m=1.0, max_iterations=300, min_points=None, acceleration=0, \
+            starts='indicated', refine=False, stiffness=0.0, tolerance_m=1.0, max_iterations=300, min_points=None, acceleration=0, \
             max_rotation_deg=None, offset_sigma_m=None, heading_sigma_deg=None, scale_sigma=None, bias_sigma=None, \
             interpolation='bicubic', map_correlation_m=None, min_overlap=0.8, fix_radius_m=None, max_risk=0.01, \
-            min_goodness=0.001)"
+            min_goodness=0.001, half_width_m=None, step_m=None, keep_starts=12, max_candidates=1000000)"
     )]
     fn new(
         grid: &Bound<'_, PyAny>,
@@ -417,9 +418,6 @@ impl PySlidingContour {
     ) -> PyRes<Self> {
         let map = grid_map("grid", grid)?;
         let options = contour_options(&map, options)?;
-        if !matches!(options.starts, Starts::Indicated) {
-            return Err(invalid("starts", "'indicated': a window starts where the last one ended", "another start"));
-        }
         let inner = Mutex::new(SlidingState::new(length, sigma, floor_m, options)?);
         Ok(Self { inner, map, grid: grid.clone().unbind() })
     }

@@ -180,7 +180,7 @@ pub fn match_channels(
 }
 
 /// The outcome of least misfit; those out of reach only where there is no other.
-fn winner(outcomes: &[Outcome]) -> Option<usize> {
+pub(crate) fn winner(outcomes: &[Outcome]) -> Option<usize> {
     (0..outcomes.len()).min_by(|&a, &b| {
         let key = |i: usize| (outcomes[i].end == End::OutOfReach, outcomes[i].misfit.unwrap_or(f64::INFINITY));
         let ((la, ma), (lb, mb)) = (key(a), key(b));

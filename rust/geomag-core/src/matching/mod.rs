@@ -4,6 +4,7 @@ pub mod closest;
 pub mod contour;
 pub mod grid_search;
 pub mod iema;
+mod local_fit;
 pub mod refine;
 pub mod scene;
 pub mod sequence;

@@ -9,7 +9,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::frame::displacement_m;
 use crate::grid::GridMap;
-use crate::matching::contour::{ContourOptions, End, Iccp, motion_of};
+use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
 use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
 use crate::matching::transform::Transform;
@@ -111,7 +111,7 @@ impl SlidingState {
     }
 
     /// Takes a sample in, the oldest one leaving a full window, and matches the window, starting where the last window
-    /// ended. Until the window is full the status is `searching` and there is no position.
+    /// ended (the first one, and one after a loss, where the options say). Until the window is full the status is `searching` and there is no position.
     ///
     /// # Errors
     /// [`Error::NotFinite`] for a sample that is not finite; the window is as before.
@@ -136,36 +136,33 @@ impl SlidingState {
         let channels = [Channel { map, values: track.values(), sigma: self.sigma }];
         let scene = Scene::new(&channels, track, None)?;
         let matcher = Iccp::new(&scene, &self.options)?;
-        let start = self.last.map_or(Transform::IDENTITY, |(t, newest)| {
-            // The same motion, told about the point that is now the newest.
-            let lever = displacement_m(map.geographic(), newest, track.newest());
-            let moved = t.apply(lever);
-            Transform { matrix: t.matrix, shift: [moved[0] - lever[0], moved[1] - lever[1]] }
-        });
-        let outcome = matcher.run(start);
-        if outcome.end == End::OutOfReach {
-            // Nothing to go on from: the next window starts at the INS again.
-            self.last = None;
-            return Ok(Fix::none(Status::Lost, track.len()));
-        }
+        let starts = self.starts(map, track, &scene);
+        let outcomes: Vec<_> = starts.iter().map(|&start| matcher.run(start)).collect();
+        let in_reach = winner(&outcomes).filter(|&best| outcomes[best].end != End::OutOfReach);
         let (fix, transform, distance_squared) = if self.options.refine {
-            let from = motion_of(&outcome.transform);
-            let fix = answer(&scene, &self.options.effective_refinement(), &[from], outcome.iterations, None);
+            let motions: Vec<Motion> = starts
+                .iter()
+                .chain(outcomes.iter().filter(|o| o.end != End::OutOfReach).map(|o| &o.transform))
+                .map(motion_of)
+                .collect();
+            let iterations = in_reach.map_or(0, |best| outcomes[best].iterations);
+            let fix = answer(&scene, &self.options.effective_refinement(), &motions, iterations, None);
             if fix.x.is_nan() {
                 self.last = None;
                 return Ok(fix);
             }
-            let motion = Motion {
-                offset_m: displacement_m(map.geographic(), track.newest(), [fix.x, fix.y]),
-                heading_rad: fix.heading_deg.to_radians(),
-                stretch: fix.scale - 1.0,
-            };
-            let refined = Transform::similarity(-motion.heading_rad, fix.scale, motion.offset_m);
-            let distance_squared = matcher.distance_squared(&refined).unwrap_or(outcome.distance_squared);
+            let offset_m = displacement_m(map.geographic(), track.newest(), [fix.x, fix.y]);
+            let refined = Transform::similarity(-fix.heading_deg.to_radians(), fix.scale, offset_m);
+            // Where contours are out of reach the refinement's own spread stands for the distance.
+            let spread = fix.covariance_m2.map_or(f64::INFINITY, |c| c[0][0] + c[1][1]);
+            let distance_squared = matcher.distance_squared(&refined).unwrap_or(spread);
             (fix, refined, distance_squared)
+        } else if let Some(best) = in_reach {
+            (matcher.fix(&outcomes, best), outcomes[best].transform, outcomes[best].distance_squared)
         } else {
-            let distance_squared = outcome.distance_squared;
-            (matcher.fix(std::slice::from_ref(&outcome), 0), outcome.transform, distance_squared)
+            // Nothing to go on from: the next window starts anew.
+            self.last = None;
+            return Ok(Fix::none(Status::Lost, track.len()));
         };
         let weight = 1.0 / distance_squared.max(self.floor_m * self.floor_m);
         for (entry, lever) in self.entries.iter_mut().zip(&scene.levers) {
@@ -177,6 +174,22 @@ impl SlidingState {
         }
         self.last = Some((transform, track.newest()));
         Ok(fix)
+    }
+}
+
+impl SlidingState {
+    /// Where the window starts: where the last one ended, or, without one, where the options say.
+    fn starts(&self, map: &GridMap, track: &Track, scene: &Scene<'_>) -> Vec<Transform> {
+        let Some((t, newest)) = self.last else {
+            let least = ((self.options.refinement.min_overlap * track.len() as f64).ceil() as usize).max(1);
+            let unbiased = self.options.refinement.priors.bias_sigma.is_some();
+            let offsets = self.options.starts.offsets(scene, unbiased, least);
+            return offsets.into_iter().map(|shift| Transform { shift, ..Transform::IDENTITY }).collect();
+        };
+        // The same motion, told about the point that is now the newest.
+        let lever = displacement_m(map.geographic(), newest, track.newest());
+        let moved = t.apply(lever);
+        vec![Transform { matrix: t.matrix, shift: [moved[0] - lever[0], moved[1] - lever[1]] }]
     }
 }
 
