@@ -12,12 +12,15 @@ use pyo3::prelude::*;
 
 mod arrays;
 mod campaign;
+mod contour;
 mod error;
 mod fix;
 mod grid;
 mod grid_search;
 mod iema;
+mod ins_feedback;
 mod long_call;
+mod sequence;
 mod synthetic;
 mod track;
 
@@ -26,6 +29,8 @@ mod _geomag {
     #[pymodule_export]
     use crate::campaign::{campaign_flight, campaign_rows};
     #[pymodule_export]
+    use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
+    #[pymodule_export]
     use crate::fix::PyFix;
     #[pymodule_export]
     use crate::grid::PyGridMap;
@@ -33,6 +38,12 @@ mod _geomag {
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
+    #[pymodule_export]
+    use crate::sequence::{
+        PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
+    };
     #[pymodule_export]
     use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]

@@ -1,0 +1,3 @@
+//! Kalman filters that know vectors, not fields.
+
+pub mod error_state;

@@ -1,0 +1,3 @@
+//! Navigation: what becomes of fixes.
+
+pub mod ins_feedback;
