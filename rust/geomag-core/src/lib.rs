@@ -15,4 +15,5 @@ pub mod field;
 pub mod fix;
 pub mod frame;
 pub mod grid;
+pub mod harmonic;
 pub mod track;
