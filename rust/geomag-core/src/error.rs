@@ -96,11 +96,13 @@ pub enum Error {
 
 impl Error {
     /// An [`Error::Invalid`] from its three parts.
+    #[allow(clippy::needless_pass_by_value)] // literals, numbers and fresh strings alike
     pub fn invalid(what: impl Into<String>, needed: impl Into<String>, got: impl ToString) -> Self {
         Self::Invalid { what: what.into(), needed: needed.into(), got: got.to_string() }
     }
 
     /// An [`Error::Shape`] from its three parts.
+    #[allow(clippy::needless_pass_by_value)] // literals, numbers and fresh strings alike
     pub fn shape(what: impl Into<String>, needed: impl Into<String>, got: impl ToString) -> Self {
         Self::Shape { what: what.into(), needed: needed.into(), got: got.to_string() }
     }

@@ -3,7 +3,7 @@
 //! Geomagnetic and gravity map-matching navigation: from an indicated track, measured field values and a stored map to a
 //! position fix with its risk. No files, no clock, no printing: a crate that a vehicle can carry.
 //!
-//! Floors, each knowing only those before it: [`error`], [`constants`]; [`frame`], [`field`], [`grid`], [`track`],
+//! Floors, each knowing only those before it: [`error`], [`constants`], [`monitor`]; [`frame`], [`field`], [`grid`], [`track`],
 //! [`fix`].
 //!
 //! Conventions: x to the east, y to the north, metres on projected maps, degrees of longitude and latitude on geographic
@@ -16,4 +16,8 @@ pub mod fix;
 pub mod frame;
 pub mod grid;
 pub mod harmonic;
+pub mod lattice;
+pub mod matching;
+pub mod monitor;
+pub mod state;
 pub mod track;

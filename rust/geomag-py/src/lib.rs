@@ -1,6 +1,42 @@
 //! Python bindings of geomag-core: convert, detach, call, map errors. No arithmetic lives here.
 
+// pyo3 passes extracted arguments by value.
+#![allow(clippy::needless_pass_by_value)]
+// Signatures of Python methods are documented in the stub, where Python users look.
+#![allow(missing_docs)]
+// Docstrings are Python's: numpydoc, not Markdown.
+#![allow(clippy::doc_markdown)]
+
+use geomag_core::state;
 use pyo3::prelude::*;
 
-#[pymodule]
-mod _geomag {}
+mod arrays;
+mod error;
+mod fix;
+mod grid;
+mod grid_search;
+mod iema;
+mod long_call;
+mod track;
+
+#[pymodule(gil_used = false)]
+mod _geomag {
+    #[pymodule_export]
+    use crate::fix::PyFix;
+    #[pymodule_export]
+    use crate::grid::PyGridMap;
+    #[pymodule_export]
+    use crate::grid_search::py_match_grid;
+    #[pymodule_export]
+    use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::track::PyTrack;
+
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("instruction_set", geomag_core::lattice::instruction_set())?;
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

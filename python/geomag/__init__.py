@@ -1,0 +1,68 @@
+"""Geomagnetic and gravity map-matching navigation.
+
+An INS drifts; the anomaly field does not. From an indicated track, measured field values and a stored map, geomag
+returns a position fix with its risk.
+
+>>> import numpy as np, geomag
+>>> x = y = np.arange(0.0, 5000.0, 50.0)
+>>> field = 100 * np.sin(x / 300)[None, :] * np.cos(y / 410)[:, None]
+>>> grid = geomag.GridMap(field, x, y)
+>>> east = np.linspace(1500, 3500, 30)
+>>> north = np.linspace(2000, 2900, 30)
+>>> track = geomag.Track(east - 200, north + 150, grid.sample(east, north))
+>>> fix = geomag.match_grid(grid, track, criterion="msd", half_width=(500, 500))
+>>> fix.status, [round(v) for v in fix.offset_m]
+('fixed', [200, -150])
+"""
+
+from __future__ import annotations
+
+from geomag._errors import (
+    CandidateLimitError,
+    GeomagError,
+    InvalidInputError,
+    MissingDependencyError,
+    MissingFileError,
+    NotFiniteError,
+    NotPositiveDefiniteError,
+    NumericalError,
+    RankDeficientError,
+    ReadError,
+    ShapeError,
+    StateError,
+    TooFewSamplesError,
+    UnknownVariableError,
+)
+from geomag._geomag import (
+    Fix,
+    GridMap,
+    Iema,
+    IemaStep,
+    Track,
+    __version__,
+    match_grid,
+)
+
+__all__ = [
+    "CandidateLimitError",
+    "Fix",
+    "GeomagError",
+    "GridMap",
+    "Iema",
+    "IemaStep",
+    "InvalidInputError",
+    "MissingDependencyError",
+    "MissingFileError",
+    "NotFiniteError",
+    "NotPositiveDefiniteError",
+    "NumericalError",
+    "RankDeficientError",
+    "ReadError",
+    "ShapeError",
+    "StateError",
+    "TooFewSamplesError",
+    "Track",
+    "UnknownVariableError",
+    "__version__",
+    "match_grid",
+]

@@ -1,0 +1,33 @@
+"""The progress bar behind `progress=True`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+
+def bar(label: str = "") -> Callable[[int, int], None]:
+    """Return a callable `(done, total)` that draws a bar with the time to go on standard error.
+
+    Nothing is drawn where standard error is not a terminal.
+    """
+    start = time.monotonic()
+    shown = False
+
+    def show(done: int, total: int) -> None:
+        nonlocal shown
+        if total <= 0 or not sys.stderr.isatty():
+            return
+        share = min(done / total, 1.0)
+        elapsed = time.monotonic() - start
+        left = elapsed / share - elapsed if share > 0 else float("nan")
+        filled = round(share * 30)
+        end = "\n" if done >= total else ""
+        if end and not shown:
+            return  # finished before anything was worth drawing
+        shown = True
+        sys.stderr.write(f"\r{label}[{'#' * filled}{'.' * (30 - filled)}] {share:6.1%}  {left:6.1f} s to go {end}")
+        sys.stderr.flush()
+
+    return show

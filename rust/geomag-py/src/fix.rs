@@ -1,0 +1,173 @@
+//! `Fix`.
+
+use geomag_core::fix::Fix;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict, PyTuple};
+
+use crate::arrays::{points, shaped};
+use crate::error::PyRes;
+use crate::state;
+
+/// A position answer with its quality.
+#[pyclass(frozen, name = "Fix", module = "geomag")]
+pub struct PyFix {
+    /// The answer.
+    pub inner: Fix,
+}
+
+impl From<Fix> for PyFix {
+    fn from(inner: Fix) -> Self {
+        Self { inner }
+    }
+}
+
+#[pymethods]
+impl PyFix {
+    #[getter]
+    fn x(&self) -> f64 {
+        self.inner.x
+    }
+
+    #[getter]
+    fn y(&self) -> f64 {
+        self.inner.y
+    }
+
+    #[getter]
+    fn offset(&self) -> (f64, f64) {
+        self.inner.offset.into()
+    }
+
+    #[getter]
+    fn offset_m(&self) -> (f64, f64) {
+        self.inner.offset_m.into()
+    }
+
+    #[getter]
+    fn heading_deg(&self) -> f64 {
+        self.inner.heading_deg
+    }
+
+    #[getter]
+    fn scale(&self) -> f64 {
+        self.inner.scale
+    }
+
+    #[getter]
+    fn bias(&self) -> Option<f64> {
+        self.inner.bias
+    }
+
+    #[getter]
+    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.inner.covariance_m2.map(|c| shaped(py, c.concat(), &[2, 2])).transpose()
+    }
+
+    #[getter]
+    fn risk(&self) -> Option<f64> {
+        self.inner.risk
+    }
+
+    #[getter]
+    fn goodness(&self) -> Option<f64> {
+        self.inner.goodness
+    }
+
+    #[getter]
+    fn status(&self) -> &'static str {
+        self.inner.status.as_str()
+    }
+
+    #[getter]
+    fn ok(&self) -> bool {
+        self.inner.ok()
+    }
+
+    #[getter]
+    fn score(&self) -> f64 {
+        self.inner.score
+    }
+
+    #[getter]
+    fn runner_up(&self) -> f64 {
+        self.inner.runner_up
+    }
+
+    #[getter]
+    fn n_samples(&self) -> usize {
+        self.inner.n_samples
+    }
+
+    #[getter]
+    fn iterations(&self) -> usize {
+        self.inner.iterations
+    }
+
+    #[getter]
+    fn track<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        points(py, &self.inner.track)
+    }
+
+    #[getter]
+    fn surface<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.inner.surface.as_ref().map(|s| shaped(py, s.values.clone(), &[s.rows, s.columns])).transpose()
+    }
+
+    /// x offsets of the surface's columns and y offsets of its rows, map units.
+    #[getter]
+    fn surface_axes<'py>(&self, py: Python<'py>) -> PyRes<Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>> {
+        let Some(s) = &self.inner.surface else { return Ok(None) };
+        let axis = |n: usize, d: usize| (0..n).map(|i| s.first[d] + s.step[d] * i as f64).collect::<Vec<_>>();
+        Ok(Some((shaped(py, axis(s.columns, 0), &[s.columns])?, shaped(py, axis(s.rows, 1), &[s.rows])?)))
+    }
+
+    /// Everything but track and surface as plain Python values.
+    fn to_dict<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyDict>> {
+        let d = PyDict::new(py);
+        let f = &self.inner;
+        d.set_item("status", f.status.as_str())?;
+        d.set_item("ok", f.ok())?;
+        d.set_item("x", f.x)?;
+        d.set_item("y", f.y)?;
+        d.set_item("offset", self.offset())?;
+        d.set_item("offset_m", self.offset_m())?;
+        d.set_item("heading_deg", f.heading_deg)?;
+        d.set_item("scale", f.scale)?;
+        d.set_item("bias", f.bias)?;
+        d.set_item("covariance_m2", f.covariance_m2.map(|c| c.map(|r| r.to_vec()).to_vec()))?;
+        d.set_item("risk", f.risk)?;
+        d.set_item("goodness", f.goodness)?;
+        d.set_item("score", f.score)?;
+        d.set_item("runner_up", f.runner_up)?;
+        d.set_item("n_samples", f.n_samples)?;
+        d.set_item("iterations", f.iterations)?;
+        Ok(d)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let py = slf.py();
+        let bytes = PyBytes::new(py, &state::save("Fix", &slf.get().inner)?);
+        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+    }
+
+    #[staticmethod]
+    fn _restore(bytes: &[u8]) -> PyRes<Self> {
+        Ok(Self { inner: state::load("Fix", bytes)? })
+    }
+
+    fn __repr__(&self) -> String {
+        let f = &self.inner;
+        let quality = match (f.risk, f.covariance_m2) {
+            (risk, Some(c)) => {
+                let sigma = format!(", sigma {:.1} x {:.1} m", c[0][0].max(0.0).sqrt(), c[1][1].max(0.0).sqrt());
+                risk.map_or(sigma.clone(), |r| format!(", risk {r:.2e}{sigma}"))
+            }
+            (Some(risk), None) => format!(", risk {risk:.2e}"),
+            (None, None) => String::new(),
+        };
+        format!(
+            "Fix({}, x {:.6}, y {:.6}, offset {:.1} m east {:.1} m north, score {:.4}, runner-up {:.4}, {} samples{quality})",
+            f.status, f.x, f.y, f.offset_m[0], f.offset_m[1], f.score, f.runner_up, f.n_samples
+        )
+    }
+}

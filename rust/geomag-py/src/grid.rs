@@ -1,0 +1,316 @@
+//! `GridMap`.
+
+use std::sync::Arc;
+
+use geomag_core::error::Error;
+use geomag_core::field::Field;
+use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapSigma};
+use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::arrays::{broadcast, matrix, shaped, vector};
+use crate::error::{PyRes, invalid};
+
+/// Reads the name of an interpolation.
+pub fn interpolation(name: &str) -> PyRes<Interpolation> {
+    match name {
+        "bilinear" => Ok(Interpolation::Bilinear),
+        "bicubic" => Ok(Interpolation::Bicubic),
+        other => Err(invalid("method", "'bilinear' or 'bicubic'", format!("'{other}'"))),
+    }
+}
+
+/// A regular grid of field values: the stored map that matchers compare with.
+#[pyclass(frozen, name = "GridMap", module = "geomag", weakref)]
+pub struct PyGridMap {
+    /// The map, shared with every matcher made from it.
+    pub inner: Arc<GridMap>,
+    name: Option<String>,
+    units: Option<String>,
+    crs: Option<String>,
+}
+
+/// Values of a NumPy array in their own precision, row-major, with the shape.
+fn grid_values(object: &Bound<'_, PyAny>) -> PyRes<(GridValues, usize, usize)> {
+    if let Ok(array) = object.cast::<PyArrayDyn<f32>>()
+        && !object.hasattr("mask")?
+    {
+        let &[rows, columns] = array.shape() else {
+            return Err(Error::shape("values", "two dimensions (y, x)", format!("{:?}", array.shape())).into());
+        };
+        let read = array.try_readonly().map_err(PyErr::from)?;
+        return Ok((GridValues::F32(read.as_array().iter().copied().collect()), rows, columns));
+    }
+    let (values, rows, columns) = matrix("values", object)?;
+    Ok((GridValues::F64(values), rows, columns))
+}
+
+/// The rounding that coordinates stored in single precision carry.
+fn axis_resolution(object: &Bound<'_, PyAny>, values: &[f64]) -> f64 {
+    if object.cast::<PyArrayDyn<f32>>().is_ok() {
+        2.0 * f64::from(f32::EPSILON) * values.iter().fold(0.0_f64, |m, v| m.max(v.abs()))
+    } else {
+        0.0
+    }
+}
+
+fn axis_array<'py>(py: Python<'py>, axis: &Axis) -> PyRes<Bound<'py, PyAny>> {
+    shaped(py, (0..axis.len()).map(|i| axis.at(i)).collect(), &[axis.len()])
+}
+
+#[pymethods]
+impl PyGridMap {
+    #[new]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, name = None, units = None, crs = None))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn new(
+        values: &Bound<'_, PyAny>,
+        x: &Bound<'_, PyAny>,
+        y: &Bound<'_, PyAny>,
+        geographic: bool,
+        sigma: Option<&Bound<'_, PyAny>>,
+        name: Option<String>,
+        units: Option<String>,
+        crs: Option<String>,
+    ) -> PyRes<Self> {
+        let (grid_values, rows, columns) = grid_values(values)?;
+        let (xs, ys) = (vector("x", x)?, vector("y", y)?);
+        if (rows, columns) != (ys.len(), xs.len()) {
+            let needed = format!("({}, {}) from the axes (y, x)", ys.len(), xs.len());
+            return Err(Error::shape("values", needed, format!("({rows}, {columns})")).into());
+        }
+        let resolution = axis_resolution(x, &xs).max(axis_resolution(y, &ys));
+        let mut inner = GridMap::with_resolution(grid_values, &xs, &ys, geographic, resolution)?;
+        if let Some(sigma) = sigma {
+            let layer = if let Ok(constant) = sigma.extract::<f64>() {
+                MapSigma::Constant(constant)
+            } else {
+                // The same constructor turns the layer with the axes, so that it lies as the values do.
+                let (layer, sigma_rows, sigma_columns) = matrix("sigma", sigma)?;
+                if (sigma_rows, sigma_columns) != (rows, columns) {
+                    let got = format!("({sigma_rows}, {sigma_columns})");
+                    return Err(Error::shape("sigma", format!("({rows}, {columns}) as values"), got).into());
+                }
+                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
+                MapSigma::Grid((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+            };
+            inner = inner.with_sigma(Some(layer))?;
+        }
+        Ok(Self { inner: Arc::new(inner), name, units, crs })
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (data_array, **options))]
+    fn from_xarray<'py>(
+        data_array: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = data_array.py().import("geomag.io")?;
+        Ok(module.getattr("grid_from_xarray")?.call((data_array,), options)?)
+    }
+
+    fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyRes<Bound<'py, PyAny>> {
+        Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
+    }
+
+    #[getter]
+    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        axis_array(py, self.inner.x())
+    }
+
+    #[getter]
+    fn y<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        axis_array(py, self.inner.y())
+    }
+
+    #[getter]
+    fn values<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let shape = [self.inner.y().len(), self.inner.x().len()];
+        match self.inner.values() {
+            GridValues::F64(v) => shaped(py, v.clone(), &shape),
+            GridValues::F32(v) => {
+                let array = numpy::PyArray1::from_slice(py, v);
+                Ok(array.reshape(shape)?.into_any())
+            }
+        }
+    }
+
+    #[getter]
+    fn sigma<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        match self.inner.map_sigma() {
+            None => Ok(None),
+            Some(MapSigma::Constant(s)) => Ok(Some(shaped(py, vec![*s], &[])?)),
+            Some(MapSigma::Grid(g)) => Ok(Some(shaped(py, g.clone(), &[self.inner.y().len(), self.inner.x().len()])?)),
+        }
+    }
+
+    #[getter]
+    fn shape(&self) -> (usize, usize) {
+        (self.inner.y().len(), self.inner.x().len())
+    }
+
+    #[getter]
+    fn spacing(&self) -> (f64, f64) {
+        (self.inner.x().step(), self.inner.y().step())
+    }
+
+    #[getter]
+    fn spacing_m(&self) -> (f64, f64) {
+        let y = 0.5 * (self.inner.y().first() + self.inner.y().last());
+        let [east, north] = self.inner.metres_per_unit(y);
+        (self.inner.x().step() * east, self.inner.y().step() * north)
+    }
+
+    #[getter]
+    fn geographic(&self) -> bool {
+        self.inner.geographic()
+    }
+
+    #[getter]
+    fn holes(&self) -> usize {
+        self.inner.holes()
+    }
+
+    #[getter]
+    fn mean(&self) -> f64 {
+        self.inner.mean()
+    }
+
+    #[getter]
+    fn name(&self) -> Option<&str> {
+        self.name.as_deref()
+    }
+
+    #[getter]
+    fn units(&self) -> Option<&str> {
+        self.units.as_deref()
+    }
+
+    #[getter]
+    fn crs(&self) -> Option<&str> {
+        self.crs.as_deref()
+    }
+
+    fn metres_per_unit(&self, y: f64) -> (f64, f64) {
+        let [east, north] = self.inner.metres_per_unit(y);
+        (east, north)
+    }
+
+    #[pyo3(signature = (x, y, *, method = "bilinear"))]
+    fn sample<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+        method: &str,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let method = interpolation(method)?;
+        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
+        let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.sample(x, y, method)).collect());
+        shaped(py, values, &shape)
+    }
+
+    #[pyo3(signature = (x, y, *, method = "bilinear"))]
+    fn gradient<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+        method: &str,
+    ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let method = interpolation(method)?;
+        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
+        let (east, north) = py.detach(|| {
+            x.iter()
+                .zip(&y)
+                .map(|(&x, &y)| self.inner.sample_and_gradient(x, y, method).1)
+                .map(|[e, n]| (e, n))
+                .unzip::<f64, f64, Vec<_>, Vec<_>>()
+        });
+        Ok((shaped(py, east, &shape)?, shaped(py, north, &shape)?))
+    }
+
+    #[pyo3(signature = (x, y, *, half_width))]
+    fn bounds<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+        half_width: &Bound<'py, PyAny>,
+    ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let [half_x, half_y] = crate::arrays::pair("half_width", half_width)?;
+        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
+        let (least, greatest) = py.detach(|| {
+            x.iter()
+                .zip(&y)
+                .map(|(&x, &y)| self.inner.bounds(x, y, half_x, half_y).unwrap_or((f64::NAN, f64::NAN)))
+                .unzip::<f64, f64, Vec<_>, Vec<_>>()
+        });
+        Ok((shaped(py, least, &shape)?, shaped(py, greatest, &shape)?))
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let py = slf.py();
+        let this = slf.get();
+        let (x, y) = (this.inner.x(), this.inner.y());
+        let axes = ((x.first(), x.step()), (y.first(), y.step()));
+        let text = (this.name.clone(), this.units.clone(), this.crs.clone());
+        let arguments = (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text).into_pyobject(py)?;
+        Ok((slf.get_type().getattr("_restore")?, arguments))
+    }
+
+    #[staticmethod]
+    #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
+    fn _restore(
+        values: &Bound<'_, PyAny>,
+        axes: ((f64, f64), (f64, f64)),
+        geographic: bool,
+        sigma: Option<&Bound<'_, PyAny>>,
+        text: (Option<String>, Option<String>, Option<String>),
+    ) -> PyRes<Self> {
+        let (values, rows, columns) = grid_values(values)?;
+        // Axes are rebuilt from start and step, so that a map comes back to the last bit.
+        let x = Axis::new(axes.0.0, axes.0.1, columns)?;
+        let y = Axis::new(axes.1.0, axes.1.1, rows)?;
+        let sigma = match sigma {
+            None => None,
+            Some(s) => Some(match s.extract::<f64>() {
+                Ok(constant) => MapSigma::Constant(constant),
+                Err(_) => MapSigma::Grid(matrix("sigma", s)?.0),
+            }),
+        };
+        let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?;
+        Ok(Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 })
+    }
+
+    fn __repr__(&self) -> String {
+        let (x, y) = (self.inner.x(), self.inner.y());
+        let unit = if self.inner.geographic() { "deg" } else { "m" };
+        format!(
+            "GridMap({}{} x {} nodes, x {:.6}..{:.6} y {:.6}..{:.6} {unit}, spacing {:.6} x {:.6} {unit}, {}{})",
+            self.name.as_ref().map(|n| format!("{n}, ")).unwrap_or_default(),
+            y.len(),
+            x.len(),
+            x.first(),
+            x.last(),
+            y.first(),
+            y.last(),
+            x.step(),
+            y.step(),
+            match self.inner.values() {
+                GridValues::F32(_) => "float32",
+                GridValues::F64(_) => "float64",
+            },
+            if self.inner.holes() > 0 { format!(", {} holes", self.inner.holes()) } else { String::new() },
+        )
+    }
+}
+
+/// The field behind whatever was passed as a map.
+pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
+    if let Ok(grid) = object.cast::<PyGridMap>() {
+        return Ok(grid.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap", object.get_type().name()?))
+}
