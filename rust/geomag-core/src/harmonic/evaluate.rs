@@ -5,11 +5,11 @@ use rayon::prelude::*;
 
 use super::RectangularHarmonicModel;
 use super::basis::{Basis, Scratch};
-use super::kernel::{Block, LANES, Lanes, Run, Tables};
+use super::kernel::{BLOCK, Output, Run};
 use crate::error::{Error, Result};
 
-/// Points that one task takes: a few tens of microseconds.
-const CHUNK: usize = 64 * LANES;
+/// Points that one task takes: some tens of microseconds.
+const CHUNK: usize = 2 * BLOCK;
 
 /// Points of a frame: north, east and down in metres, one array each, of one length.
 #[derive(Debug, Clone, Copy)]
@@ -47,15 +47,6 @@ impl<'a> Positions<'a> {
     pub fn at(&self, i: usize) -> [f64; 3] {
         [self.north[i], self.east[i], self.down[i]]
     }
-
-    /// A block from `first`, filled up with its last point.
-    fn block(&self, first: usize, count: usize) -> [Lanes; 3] {
-        [self.north, self.east, self.down].map(|axis| {
-            let mut out = [axis[first + count - 1]; LANES];
-            out[..count].copy_from_slice(&axis[first..first + count]);
-            out
-        })
-    }
 }
 
 /// Everything that the model says at one point.
@@ -72,13 +63,9 @@ pub struct Evaluation {
 impl Evaluation {
     const UNKNOWN: Self = Self { potential: f64::NAN, field: [f64::NAN; 3], gradient: [[f64::NAN; 3]; 3] };
 
-    fn of_lane(block: &Block, l: usize) -> Self {
-        let [xx, xy, xz, yy, yz, zz] = block.gradient.map(|g| g[l]);
-        Self {
-            potential: block.potential[l],
-            field: block.field.map(|f| f[l]),
-            gradient: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
-        }
+    fn of<const B: usize>(out: &Output<B>, l: usize) -> Self {
+        let [potential, north, east, down, xx, xy, xz, yy, yz, zz] = std::array::from_fn(|row| out[row][l]);
+        Self { potential, field: [north, east, down], gradient: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]] }
     }
 }
 
@@ -94,12 +81,20 @@ impl RectangularHarmonicModel {
     }
 
     fn lane<const GRADIENT: bool>(&self, point_m: [f64; 3]) -> Evaluation {
-        let block = self.run::<GRADIENT>(point_m.map(|c| [c; LANES]), &mut Tables::default());
-        Evaluation::of_lane(&block, 0)
+        let mut out = [[0.0; 1]; 10];
+        let [north, east, down] = &point_m;
+        let points = [north, east, down].map(std::slice::from_ref);
+        self.run::<GRADIENT, _>(points, &mut out, &mut Vec::new());
+        Evaluation::of(&out, 0)
     }
 
-    fn run<const GRADIENT: bool>(&self, points: [Lanes; 3], tables: &mut Tables) -> Block {
-        pulp::Arch::new().dispatch(Run::<'_, GRADIENT> { packed: &self.packed, points, tables })
+    fn run<const GRADIENT: bool, const B: usize>(
+        &self,
+        points: [&[f64]; 3],
+        out: &mut Output<B>,
+        scratch: &mut Vec<f64>,
+    ) {
+        pulp::Arch::new().dispatch(Run::<'_, GRADIENT, B> { packed: &self.packed, points, out, scratch });
     }
 
     /// Whether the model answers at a point.
@@ -120,13 +115,14 @@ impl RectangularHarmonicModel {
         extrapolate: bool,
         mut take: impl FnMut(usize, Option<Evaluation>),
     ) {
-        let mut tables = Tables::default();
-        for first in range.clone().step_by(LANES) {
-            let count = LANES.min(range.end - first);
-            let block = self.run::<GRADIENT>(positions.block(first, count), &mut tables);
-            for l in 0..count {
-                let usable = self.usable(positions.at(first + l), extrapolate);
-                take(first + l, usable.then(|| Evaluation::of_lane(&block, l)));
+        let (mut out, mut scratch) = ([[0.0; BLOCK]; 10], Vec::new());
+        for first in range.clone().step_by(BLOCK) {
+            let here = first..(first + BLOCK).min(range.end);
+            let points = [positions.north, positions.east, positions.down].map(|axis| &axis[here.clone()]);
+            self.run::<GRADIENT, _>(points, &mut out, &mut scratch);
+            for i in here {
+                let usable = self.usable(positions.at(i), extrapolate);
+                take(i, usable.then(|| Evaluation::of(&out, i - first)));
             }
         }
     }

@@ -5,11 +5,12 @@ use serde::{Deserialize, Serialize};
 
 use super::basis::{Basis, coefficient_count};
 use super::evaluate::norm;
-use super::normal::{LinearRow, Proceed, solve_refined};
+use super::normal::{LinearRow, Progress, solve_refined};
 use super::observations::{Observations, Sensed};
 use super::{Covariance, Positions, RectangularHarmonicModel, Region};
 use crate::error::{Error, Result};
 use crate::frame::LocalFrame;
+use crate::monitor::Monitor;
 
 pub use super::normal::Regularisation;
 
@@ -88,10 +89,11 @@ pub struct FitSummary {
 /// `|main + B|`], Huber's weights are taken from the residuals; both repeat until the prediction settles. The covariance
 /// is `unit_sigma^2 (A'WA + ridge)^-1`: what the observations leave open, the ridge read as prior knowledge.
 ///
-/// `proceed` is told the share done of each solution and ends the fit by answering `false`.
+/// The monitor is told how far each solution is.
 ///
 /// ```
 /// use geomag_core::harmonic::{FitOptions, Observations, Period, Positions, fit};
+/// use geomag_core::monitor::Quiet;
 /// let (mut north, mut east) = (Vec::new(), Vec::new());
 /// for i in 0..100 {
 ///     north.push(f64::from(i % 10) * 1e3);
@@ -102,7 +104,7 @@ pub struct FitSummary {
 /// let field: Vec<[f64; 3]> = north.iter().map(|x| [0.0, 0.0, 10.0 * (x / 3e3).cos()]).collect();
 /// let mut observations = Observations::new();
 /// observations.vector(&positions, &field, &[])?;
-/// let model = fit(&observations, &FitOptions { order: 4, ..FitOptions::default() }, &mut |_| true)?;
+/// let model = fit(&observations, &FitOptions { order: 4, ..FitOptions::default() }, &Quiet)?;
 /// assert_eq!(model.coefficients().len(), 43);
 /// # Ok::<(), geomag_core::error::Error>(())
 /// ```
@@ -114,10 +116,10 @@ pub struct FitSummary {
 pub fn fit(
     observations: &Observations,
     options: &FitOptions,
-    proceed: &mut dyn FnMut(f64) -> bool,
+    monitor: &dyn Monitor,
 ) -> Result<RectangularHarmonicModel> {
     let prepared = Prepared::new(observations, options)?;
-    let (coefficients, solver, summary) = prepared.iterate(observations, options, proceed)?;
+    let (coefficients, solver, summary) = prepared.iterate(observations, options, Progress::whole(monitor))?;
     let mut model =
         RectangularHarmonicModel::new(options.order, prepared.periods_m, coefficients.data.into(), prepared.region)?
             .with_frame(options.frame)
@@ -186,7 +188,7 @@ impl Prepared {
         &self,
         observations: &Observations,
         options: &FitOptions,
-        proceed: &mut Proceed<'_>,
+        progress: Progress<'_>,
     ) -> Result<(DVector<f64>, super::normal::Solver, FitSummary)> {
         let curved = observations.rows.iter().any(|r| matches!(r.sensed, Sensed::Intensity(_)));
         let mut field = vec![[0.0; 3]; observations.point_count()];
@@ -195,7 +197,7 @@ impl Prepared {
         let mut iterations = 0;
         loop {
             let rows = linear_rows(observations, &field, &robust);
-            let (coefficients, solver) = solve_refined(&self.basis, &rows, options.regularisation, proceed)?;
+            let (coefficients, solver) = solve_refined(&self.basis, &rows, options.regularisation, progress)?;
             iterations += 1;
             field = self.field_at_points(observations, coefficients.as_slice())?;
             let found = self::residuals(observations, &field);

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::basis::{Basis, Scratch};
 use crate::error::{Error, Result};
+use crate::monitor::Monitor;
 
 /// Numbers in a block of rows, 32 MB.
 const BLOCK_NUMBERS: usize = 1 << 22;
@@ -48,23 +49,43 @@ pub(super) struct LinearRow {
     pub(super) target: f64,
 }
 
-/// Tells the caller how far a long call has come (0 to 1); an error ends the call.
-pub(super) type Proceed<'a> = dyn FnMut(f64) -> bool + 'a;
+/// A part of a long call, from one share of it to another.
+#[derive(Clone, Copy)]
+pub(super) struct Progress<'a> {
+    monitor: &'a dyn Monitor,
+    from: f64,
+    to: f64,
+}
+
+impl<'a> Progress<'a> {
+    pub(super) fn whole(monitor: &'a dyn Monitor) -> Self {
+        Self { monitor, from: 0.0, to: 1.0 }
+    }
+
+    /// The piece from one share to another of this part.
+    pub(super) fn part(self, from: f64, to: f64) -> Self {
+        let at = |share: f64| self.from + (self.to - self.from) * share;
+        Self { from: at(from), to: at(to), ..self }
+    }
+
+    fn at(self, share: f64) -> Result<()> {
+        const TOTAL: f64 = 1000.0;
+        self.monitor.advance(((self.from + (self.to - self.from) * share) * TOTAL) as u64, TOTAL as u64)
+    }
+}
 
 /// Builds the rows block by block and hands over each block as a matrix with one *column* a row of the problem.
 pub(super) fn for_each_block(
     basis: &Basis,
     rows: &[LinearRow],
-    proceed: &mut Proceed<'_>,
+    progress: Progress<'_>,
     mut take: impl FnMut(&[LinearRow], usize, &DMatrix<f64>),
 ) -> Result<()> {
     let n = basis.len();
     let block = (BLOCK_NUMBERS / n).clamp(256, 8192).min(rows.len().max(1));
     let mut design = DMatrix::zeros(n, block);
     for (k, rows_here) in rows.chunks(block).enumerate() {
-        if !proceed((k * block) as f64 / rows.len() as f64) {
-            return Err(Error::Interrupted);
-        }
+        progress.at((k * block) as f64 / rows.len() as f64)?;
         if rows_here.len() != design.ncols() {
             design = DMatrix::zeros(n, rows_here.len());
         }
@@ -87,7 +108,7 @@ pub(super) struct Normal {
 }
 
 impl Normal {
-    pub(super) fn of(basis: &Basis, rows: &[LinearRow], proceed: &mut Proceed<'_>) -> Result<Self> {
+    pub(super) fn of(basis: &Basis, rows: &[LinearRow], progress: Progress<'_>) -> Result<Self> {
         let n = basis.len();
         let panels = n.div_ceil(PANEL);
         let range = |p: usize| (p * PANEL, PANEL.min(n - p * PANEL));
@@ -96,7 +117,7 @@ impl Normal {
             .map(|(i, j)| (i, j, DMatrix::zeros(range(i).1, range(j).1)))
             .collect();
         let mut right = DVector::zeros(n);
-        for_each_block(basis, rows, proceed, |rows, _, design| {
+        for_each_block(basis, rows, progress, |rows, _, design| {
             pairs.par_iter_mut().for_each(|(i, j, sum)| {
                 let ((first_i, count_i), (first_j, count_j)) = (range(*i), range(*j));
                 let left = design.rows(first_i, count_i);
@@ -269,16 +290,16 @@ pub(super) fn solve_refined(
     basis: &Basis,
     rows: &[LinearRow],
     regularisation: Regularisation,
-    proceed: &mut Proceed<'_>,
+    progress: Progress<'_>,
 ) -> Result<(DVector<f64>, Solver)> {
     // The Gram matrix is all but the whole of the work.
-    let normal = Normal::of(basis, rows, &mut |f| proceed(0.8 * f))?;
+    let normal = Normal::of(basis, rows, progress.part(0.0, 0.8))?;
     let solver = Solver::new(normal.gram, regularisation)?;
     let mut coefficients = solver.solve(&normal.right);
     for step in 0..REFINEMENTS {
-        let residual = transposed_residual(basis, rows, &coefficients, &mut |f| {
-            proceed(0.8 + 0.2 * (step as f64 + f) / REFINEMENTS as f64)
-        })?;
+        let share = |k: usize| 0.8 + 0.2 * k as f64 / REFINEMENTS as f64;
+        let progress = progress.part(share(step), share(step + 1));
+        let residual = transposed_residual(basis, rows, &coefficients, progress)?;
         coefficients += solver.solve(&solver.gradient(residual, &coefficients));
     }
     Ok((coefficients, solver))
@@ -289,10 +310,10 @@ fn transposed_residual(
     basis: &Basis,
     rows: &[LinearRow],
     coefficients: &DVector<f64>,
-    proceed: &mut Proceed<'_>,
+    progress: Progress<'_>,
 ) -> Result<DVector<f64>> {
     let mut out = DVector::zeros(basis.len());
-    for_each_block(basis, rows, proceed, |rows, _, design| {
+    for_each_block(basis, rows, progress, |rows, _, design| {
         let mut residual = DVector::zeros(rows.len());
         residual.as_mut_slice().par_iter_mut().enumerate().for_each(|(k, r)| {
             *r = rows[k].target - design.column(k).dot(coefficients);

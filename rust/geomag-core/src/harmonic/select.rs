@@ -7,10 +7,11 @@ use rayon::prelude::*;
 
 use super::basis::coefficient_count;
 use super::fit::{FitOptions, Period, Prepared, huber_weights, linear_rows, residuals};
-use super::normal::{LinearRow, Normal, Regularisation, Solver, for_each_block};
+use super::normal::{LinearRow, Normal, Progress, Regularisation, Solver, for_each_block};
 use super::observations::{Observations, Sensed};
 use super::{Positions, fit};
 use crate::error::{Error, Result};
+use crate::monitor::Monitor;
 
 /// What to choose from, and how.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,7 +68,7 @@ pub fn select(
     observations: &Observations,
     choice: &SelectionOptions,
     options: &FitOptions,
-    proceed: &mut dyn FnMut(f64) -> bool,
+    monitor: &dyn Monitor,
 ) -> Result<Selection> {
     let (Some(&highest), Some(&ratio), Some(&ridge)) =
         (choice.orders.iter().max(), choice.period_ratios.first(), choice.ridges.first())
@@ -82,7 +83,7 @@ pub fn select(
         covariance: false,
         ..options.clone()
     };
-    let mut rows = reference_rows(observations, &base, proceed)?;
+    let mut rows = reference_rows(observations, &base, monitor)?;
     // Sorted by part, so that a part is a slice; the order within a part is that of the observations.
     let mut order: Vec<usize> = (0..rows.len()).collect();
     let fold_of_row: Vec<usize> = observations.point_of_rows().map(|p| fold_of_point[p]).collect();
@@ -101,13 +102,14 @@ pub fn select(
     let mut candidates = Vec::new();
     for (k, &period_ratio) in choice.period_ratios.iter().enumerate() {
         let prepared = Prepared::new(observations, &FitOptions { period: Period::Ratio(period_ratio), ..base.clone() })?;
-        let share = |f: f64| (k as f64 + f) / choice.period_ratios.len() as f64;
+        let share = |part: usize| {
+            (k as f64 + part as f64 / (choice.folds + 1) as f64) / choice.period_ratios.len() as f64
+        };
+        let step = |part: usize| Progress::whole(monitor).part(share(part), share(part + 1));
         let normals = parts
             .iter()
             .enumerate()
-            .map(|(i, part)| {
-                Normal::of(&prepared.basis, part, &mut |f| proceed(share(0.9 * (i as f64 + f) / choice.folds as f64)))
-            })
+            .map(|(i, part)| Normal::of(&prepared.basis, part, step(i)))
             .collect::<Result<Vec<_>>>()?;
         let mut whole = Normal {
             gram: DMatrix::zeros(prepared.basis.len(), prepared.basis.len()),
@@ -123,7 +125,7 @@ pub fn select(
         for (part, normal) in parts.iter().zip(&normals) {
             let training = Normal { gram: &whole.gram - &normal.gram, right: &whole.right - &normal.right };
             let solutions = solve_all(&training, &choices)?;
-            let errors = left_out_errors(&prepared, part, &solutions, proceed)?;
+            let errors = left_out_errors(&prepared, part, &solutions, step(choice.folds))?;
             for (all, error) in squares.iter_mut().zip(errors) {
                 all.push((error, part.len()));
             }
@@ -164,14 +166,14 @@ fn deal(points: usize, choice: &SelectionOptions) -> Result<Vec<usize>> {
 fn reference_rows(
     observations: &Observations,
     base: &FitOptions,
-    proceed: &mut dyn FnMut(f64) -> bool,
+    monitor: &dyn Monitor,
 ) -> Result<Vec<LinearRow>> {
     let curved = observations.rows.iter().any(|r| matches!(r.sensed, Sensed::Intensity(_)));
     if !curved && base.huber.is_none() {
         let none = vec![[0.0; 3]; observations.point_count()];
         return Ok(linear_rows(observations, &none, &vec![1.0; observations.len()]));
     }
-    let model = fit(observations, base, proceed)?;
+    let model = fit(observations, base, monitor)?;
     let axis = |i: usize| observations.points.iter().map(|p| p[i]).collect::<Vec<_>>();
     let (north, east, down) = (axis(0), axis(1), axis(2));
     let field = model.field(&Positions::new(&north, &east, &down)?, true);
@@ -203,11 +205,11 @@ fn left_out_errors(
     prepared: &Prepared,
     part: &[LinearRow],
     solutions: &DMatrix<f64>,
-    proceed: &mut dyn FnMut(f64) -> bool,
+    progress: Progress<'_>,
 ) -> Result<Vec<f64>> {
     let mut sums = vec![0.0; solutions.ncols()];
     let turned = solutions.transpose();
-    for_each_block(&prepared.basis, part, &mut |_| proceed(1.0), |rows, _, design| {
+    for_each_block(&prepared.basis, part, progress, |rows, _, design| {
         let predicted = &turned * design;
         for (row, column) in rows.iter().zip(predicted.column_iter()) {
             for (sum, p) in sums.iter_mut().zip(column.iter()) {

@@ -8,8 +8,17 @@ use super::*;
 use crate::field::Field;
 use crate::frame::Earth;
 use crate::grid::Axis;
+use crate::monitor::{Monitor, Quiet};
 
 const HALF: f64 = 5e4;
+
+struct Stop;
+
+impl Monitor for Stop {
+    fn advance(&self, _: u64, _: u64) -> Result<()> {
+        Err(Error::Interrupted)
+    }
+}
 
 fn region() -> Region {
     Region { north_m: [-HALF, HALF], east_m: [-0.8 * HALF, 0.8 * HALF], down_m: [-8e3, 0.0] }
@@ -146,7 +155,7 @@ fn grid_and_points_agree() {
 fn known_coefficients_come_back() {
     for order in [1, 4, 9] {
         let model = random_model(order, 31);
-        let fitted = fit(&observed(&model, 3000, 32), &same_periods(&model), &mut |_| true).unwrap();
+        let fitted = fit(&observed(&model, 3000, 32), &same_periods(&model), &Quiet).unwrap();
         let size = model.coefficients().iter().fold(0.0_f64, |m, c| m.max(c.abs()));
         for (a, b) in fitted.coefficients().iter().zip(model.coefficients()) {
             assert!((a - b).abs() < 1e-9 * size, "{order}: {a} {b}");
@@ -173,7 +182,7 @@ fn mixtures_with_holes_weights_and_intensities_come_back() {
     let anomaly: Vec<f64> =
         field.iter().map(|f| (0..3).map(|i| f[i] * main[0][i]).sum::<f64>() / length).collect();
     observations.anomaly(&positions, &anomaly, &main, &[]).unwrap();
-    let fitted = fit(&observations, &same_periods(&model), &mut |_| true).unwrap();
+    let fitted = fit(&observations, &same_periods(&model), &Quiet).unwrap();
     let summary = fitted.summary().unwrap();
     assert!(summary.converged && summary.iterations <= 6, "{summary:?}");
     let size = model.coefficients().iter().fold(0.0_f64, |m, c| m.max(c.abs()));
@@ -189,9 +198,9 @@ fn huber_shrugs_off_outliers() {
     for row in observations.rows.iter_mut().step_by(17) {
         row.value += 4000.0;
     }
-    let plain = fit(&observations, &same_periods(&model), &mut |_| true).unwrap();
+    let plain = fit(&observations, &same_periods(&model), &Quiet).unwrap();
     let robust = FitOptions { huber: Some(1.345), max_iterations: 60, ..same_periods(&model) };
-    let robust = fit(&observations, &robust, &mut |_| true).unwrap();
+    let robust = fit(&observations, &robust, &Quiet).unwrap();
     let point = [1e4, -5e3, -2e3];
     let error = |m: &RectangularHarmonicModel| {
         let (a, b) = (m.field_at(point), model.field_at(point));
@@ -205,7 +214,7 @@ fn ridge_and_truncation_settle_what_least_squares_cannot() {
     let model = random_model(6, 61);
     let observations = observed(&model, 300, 62);
     let with = |period, regularisation| {
-        fit(&observations, &FitOptions { order: 12, period, regularisation, ..FitOptions::default() }, &mut |_| true)
+        fit(&observations, &FitOptions { order: 12, period, regularisation, ..FitOptions::default() }, &Quiet)
     };
     let wide = Period::Ratio(4.0);
     assert!(matches!(with(wide, Regularisation::Ridge(0.0)), Err(Error::RankDeficient { .. })));
@@ -234,7 +243,7 @@ fn sigma_is_that_of_the_errors() {
             truth.iter().map(|f| f.map(|c| c + 5.0 * rng.sample::<f64, _>(rand_distr::StandardNormal))).collect();
         let mut observations = Observations::new();
         observations.vector(&positions, &noisy, &[5.0]).unwrap();
-        let fitted = fit(&observations, &same_periods(&model), &mut |_| true).unwrap();
+        let fitted = fit(&observations, &same_periods(&model), &Quiet).unwrap();
         assert_relative_eq!(fitted.summary().unwrap().unit_sigma, 1.0, epsilon = 0.12);
         let (found, sigma) = (fitted.field(&probes, false), fitted.sigma(&probes, false).unwrap());
         for i in 0..probes.len() {
@@ -255,7 +264,7 @@ fn same_bits_for_any_number_of_threads() {
     let options = FitOptions { order: 8, ..FitOptions::default() };
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| fit(&observations, &options, &mut |_| true).unwrap())
+        pool.install(|| fit(&observations, &options, &Quiet).unwrap())
     };
     assert_eq!(run(1), run(3));
 }
@@ -265,7 +274,7 @@ fn saved_models_come_back_bit_for_bit() {
     let model = random_model(5, 91);
     let frame = LocalFrame::new(33.0, 118.0, 10.0, Earth::Wgs84).unwrap();
     let options = FitOptions { frame: Some(frame), unit: "mGal".into(), ..same_periods(&model) };
-    let fitted = fit(&observed(&model, 200, 92), &options, &mut |_| true).unwrap();
+    let fitted = fit(&observed(&model, 200, 92), &options, &Quiet).unwrap();
     assert_eq!(RectangularHarmonicModel::from_json(&fitted.to_json().unwrap()).unwrap(), fitted);
     let broken = fitted.to_json().unwrap().replace("\"version\":1", "\"version\":7");
     assert!(matches!(RectangularHarmonicModel::from_json(&broken), Err(Error::State { .. })));
@@ -295,12 +304,12 @@ fn cross_validation_finds_the_order() {
         groups: None,
         seed: 1,
     };
-    let found = select(&observations, &choice, &FitOptions::default(), &mut |_| true).unwrap();
+    let found = select(&observations, &choice, &FitOptions::default(), &Quiet).unwrap();
     assert_eq!(found.candidates.len(), 10);
     let best = found.candidates[found.best];
     assert!(best.order == 4 || best.order == 6, "{found:?}");
     assert!(best.rms > 2.8 && best.rms < 3.6, "{best:?}");
-    assert!(select(&observations, &SelectionOptions { folds: 1, ..choice }, &FitOptions::default(), &mut |_| true).is_err());
+    assert!(select(&observations, &SelectionOptions { folds: 1, ..choice }, &FitOptions::default(), &Quiet).is_err());
 }
 
 #[test]
@@ -346,19 +355,19 @@ fn answers_only_where_it_knows() {
 fn refuses_bad_input() {
     let model = random_model(3, 131);
     let observations = observed(&model, 100, 132);
-    let fails = |o: FitOptions| fit(&observations, &o, &mut |_| true).unwrap_err();
+    let fails = |o: FitOptions| fit(&observations, &o, &Quiet).unwrap_err();
     assert!(matches!(fails(FitOptions { order: 20, ..same_periods(&model) }), Error::TooFewSamples { .. }));
     assert!(matches!(fails(FitOptions { order: 90, ..same_periods(&model) }), Error::Invalid { .. }));
     let ratio = FitOptions { period: Period::Ratio(0.5), ..same_periods(&model) };
     assert!(matches!(fails(ratio), Error::Invalid { .. }));
     let negative = FitOptions { regularisation: Regularisation::Ridge(-1.0), ..same_periods(&model) };
     assert!(matches!(fails(negative), Error::Invalid { .. }));
-    assert_eq!(fit(&observations, &same_periods(&model), &mut |_| false).unwrap_err(), Error::Interrupted);
+    assert_eq!(fit(&observations, &same_periods(&model), &Stop).unwrap_err(), Error::Interrupted);
     let mut deep = Observations::new();
     let (x, z) = ([0.0, 1.0, 2.0, 3.0, 4.0], [1e7; 5]);
     deep.vector(&Positions::new(&x, &x, &z).unwrap(), &[[1.0; 3]; 5], &[]).unwrap();
     let small = FitOptions { order: 1, ..FitOptions::default() };
-    assert!(matches!(fit(&deep, &small, &mut |_| true), Err(Error::Invalid { .. })));
+    assert!(matches!(fit(&deep, &small, &Quiet), Err(Error::Invalid { .. })));
     let mut bad = Observations::new();
     let positions = Positions::new(&x, &x, &x).unwrap();
     assert!(matches!(bad.vector(&positions, &[[f64::INFINITY; 3]; 5], &[]), Err(Error::NotFinite { .. })));
