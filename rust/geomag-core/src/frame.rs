@@ -18,10 +18,12 @@ use crate::error::{Error, Result};
 /// ```
 pub fn metres_per_degree(latitude_deg: f64) -> [f64; 2] {
     let latitude = latitude_deg.to_radians();
-    let root = (1.0 - WGS84_E2 * latitude.sin().powi(2)).sqrt();
+    // Not the platform's sine: seeded fields and tracks have the same bits on every machine.
+    let (sin, cos) = (libm::sin(latitude), libm::cos(latitude));
+    let root = (1.0 - WGS84_E2 * sin * sin).sqrt();
     let transverse = WGS84_A_M / root;
-    let meridional = WGS84_A_M * (1.0 - WGS84_E2) / root.powi(3);
-    [(transverse * latitude.cos()).to_radians(), meridional.to_radians()]
+    let meridional = WGS84_A_M * (1.0 - WGS84_E2) / (root * root * root);
+    [(transverse * cos).to_radians(), meridional.to_radians()]
 }
 
 /// Brings a longitude into the turn around `centre_deg`: `[centre - 180, centre + 180)`.

@@ -21,4 +21,5 @@ pub mod lattice;
 pub mod matching;
 pub mod monitor;
 pub mod state;
+pub mod synthetic;
 pub mod track;

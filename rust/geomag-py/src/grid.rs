@@ -31,6 +31,13 @@ pub struct PyGridMap {
     crs: Option<String>,
 }
 
+impl PyGridMap {
+    /// A map made on the Rust side.
+    pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
+        Self { inner: Arc::new(inner), name, units, crs }
+    }
+}
+
 /// Values of a NumPy array in their own precision, row-major, with the shape.
 fn grid_values(object: &Bound<'_, PyAny>) -> PyRes<(GridValues, usize, usize)> {
     if let Ok(array) = object.cast::<PyArrayDyn<f32>>()

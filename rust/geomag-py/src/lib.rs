@@ -17,6 +17,7 @@ mod grid;
 mod grid_search;
 mod iema;
 mod long_call;
+mod synthetic;
 mod track;
 
 #[pymodule(gil_used = false)]
@@ -29,6 +30,8 @@ mod _geomag {
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]
     use crate::track::PyTrack;
 
