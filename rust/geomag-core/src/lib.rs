@@ -20,6 +20,7 @@ pub mod kalman;
 pub mod lattice;
 pub mod matching;
 pub mod monitor;
+pub mod navigation;
 pub mod state;
 pub mod synthetic;
 pub mod track;

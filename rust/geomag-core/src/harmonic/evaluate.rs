@@ -10,6 +10,8 @@ use crate::error::{Error, Result};
 
 /// Points that one task takes: some tens of microseconds.
 const CHUNK: usize = 2 * BLOCK;
+/// Points for which a small block is enough.
+const FEW: usize = 16;
 
 /// Points of a frame: north, east and down in metres, one array each, of one length.
 #[derive(Debug, Clone, Copy)]
@@ -107,17 +109,32 @@ impl RectangularHarmonicModel {
         point_m.iter().all(|c| c.is_finite()) && point_m[2] * v.hypot(w) * self.order() as f64 <= 700.0
     }
 
-    /// Calls `take(i, block, lane)` for every point that the model answers at, in blocks, in the caller's thread.
+    /// Calls `take(i, what the model says there)` for every point, in the caller's thread; `None` where it does not answer.
     pub(crate) fn for_each<const GRADIENT: bool>(
+        &self,
+        positions: &Positions<'_>,
+        range: std::ops::Range<usize>,
+        extrapolate: bool,
+        take: impl FnMut(usize, Option<Evaluation>),
+    ) {
+        // A filter asks for a few points at a time and should not clear room for hundreds.
+        if range.len() <= FEW {
+            self.for_each_block::<GRADIENT, FEW>(positions, range, extrapolate, take);
+        } else {
+            self.for_each_block::<GRADIENT, BLOCK>(positions, range, extrapolate, take);
+        }
+    }
+
+    fn for_each_block<const GRADIENT: bool, const B: usize>(
         &self,
         positions: &Positions<'_>,
         range: std::ops::Range<usize>,
         extrapolate: bool,
         mut take: impl FnMut(usize, Option<Evaluation>),
     ) {
-        let (mut out, mut scratch) = ([[0.0; BLOCK]; 10], Vec::new());
-        for first in range.clone().step_by(BLOCK) {
-            let here = first..(first + BLOCK).min(range.end);
+        let (mut out, mut scratch) = ([[0.0; B]; 10], Vec::new());
+        for first in range.clone().step_by(B) {
+            let here = first..(first + B).min(range.end);
             let points = [positions.north, positions.east, positions.down].map(|axis| &axis[here.clone()]);
             self.run::<GRADIENT, _>(points, &mut out, &mut scratch);
             for i in here {

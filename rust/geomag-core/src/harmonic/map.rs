@@ -100,6 +100,33 @@ pub(crate) enum Level {
     Down(f64),
 }
 
+impl Level {
+    /// The point of the frame under map coordinates.
+    pub(crate) fn point(self, x: f64, y: f64) -> [f64; 3] {
+        match self {
+            Self::Height(frame, height) => frame.forward(y, x, height),
+            Self::Down(down) => [y, x, down],
+        }
+    }
+
+    /// A vector in the axes of the frame as north, east, down at a place.
+    pub(crate) fn to_own(self, x: f64, y: f64, vector: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Height(frame, _) => frame.rotate_from_origin(y, x, vector),
+            Self::Down(_) => vector,
+        }
+    }
+
+    /// North, east, down at a place as a vector in the axes of the frame.
+    #[allow(clippy::wrong_self_convention)] // "from" is the direction of the rotation
+    pub(crate) fn from_own(self, x: f64, y: f64, vector: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Height(frame, _) => frame.rotate_to_origin(y, x, vector),
+            Self::Down(_) => vector,
+        }
+    }
+}
+
 impl HarmonicMap {
     /// On a surface of constant height (metres) above the frame's Earth; coordinates in degrees.
     ///
@@ -157,7 +184,7 @@ impl HarmonicMap {
     pub fn to_grid(&self, x: Axis, y: Axis) -> Result<GridMap> {
         let mut values = vec![f64::NAN; x.len() * y.len()];
         values.par_chunks_mut(x.len()).enumerate().for_each(|(row, out)| {
-            let points: Vec<[f64; 3]> = (0..x.len()).map(|c| self.point(x.at(c), y.at(row))).collect();
+            let points: Vec<[f64; 3]> = (0..x.len()).map(|c| self.level.point(x.at(c), y.at(row))).collect();
             let axis = |i: usize| points.iter().map(|p| p[i]).collect::<Vec<_>>();
             let (north, east, down) = (axis(0), axis(1), axis(2));
             if let Ok(positions) = Positions::new(&north, &east, &down) {
@@ -171,19 +198,8 @@ impl HarmonicMap {
         GridMap::from_axes(GridValues::F64(values), x, y, self.geographic())
     }
 
-    /// The point of the frame under map coordinates.
-    fn point(&self, x: f64, y: f64) -> [f64; 3] {
-        match self.level {
-            Level::Height(frame, height) => frame.forward(y, x, height),
-            Level::Down(down) => [y, x, down],
-        }
-    }
-
     fn scalar(&self, x: f64, y: f64, e: &Evaluation) -> (f64, [f64; 3]) {
-        self.quantity.of(e.field, |own| match self.level {
-            Level::Height(frame, _) => frame.rotate_to_origin(y, x, own),
-            Level::Down(_) => own,
-        })
+        self.quantity.of(e.field, |own| self.level.from_own(x, y, own))
     }
 
     fn mean_over_region(&self) -> f64 {
@@ -210,23 +226,17 @@ impl HarmonicMap {
 
 impl Field for HarmonicMap {
     fn value(&self, x: f64, y: f64) -> f64 {
-        let field = self.model.field_at(self.point(x, y));
+        let field = self.model.field_at(self.level.point(x, y));
         let e = Evaluation { potential: f64::NAN, field, gradient: [[f64::NAN; 3]; 3] };
         self.scalar(x, y, &e).0
     }
 
     fn value_and_gradient(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
-        let e = self.model.evaluate_at(self.point(x, y));
+        let e = self.model.evaluate_at(self.level.point(x, y));
         let (value, sensed) = self.scalar(x, y, &e);
         // Along a direction of the frame: sensed . (gradient . direction).
         let slope: [f64; 3] = std::array::from_fn(|j| (0..3).map(|i| sensed[i] * e.gradient[i][j]).sum());
-        let [north, east] = match self.level {
-            Level::Down(_) => [slope[0], slope[1]],
-            Level::Height(frame, _) => {
-                let own = frame.rotate_from_origin(y, x, slope);
-                [own[0], own[1]]
-            }
-        };
+        let [north, east, _] = self.level.to_own(x, y, slope);
         (value, [east, north])
     }
 
@@ -234,7 +244,7 @@ impl Field for HarmonicMap {
         if !self.model.has_covariance() {
             return 0.0;
         }
-        let point = self.point(x, y);
+        let point = self.level.point(x, y);
         let e = Evaluation { potential: 0.0, field: self.model.field_at(point), gradient: [[0.0; 3]; 3] };
         let direction = self.scalar(x, y, &e).1;
         Positions::new(&point[..1], &point[1..2], &point[2..])

@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 pub use basis::{Term, coefficient_count, terms};
 pub use evaluate::{Evaluation, Positions};
 pub use fit::{FitOptions, FitSummary, Period, Regularisation, fit};
+pub(crate) use map::Level;
 pub use map::{HarmonicMap, Quantity};
 pub use observations::Observations;
 pub use select::{Candidate, Selection, SelectionOptions, select};

@@ -66,6 +66,16 @@ impl Estimate {
         Ok(Self { mean: DVector::from_column_slice(mean), factor, regularisations: u64::from(regularised) })
     }
 
+    /// Takes a new mean and covariance of the same size; regularisations go on being counted.
+    pub(super) fn set(&mut self, mean: &[f64], covariance: &[f64]) -> Result<()> {
+        if mean.len() != self.len() {
+            return Err(Error::shape("state x", format!("({},)", self.len()), format!("({},)", mean.len())));
+        }
+        let new = Self::new(mean, covariance)?;
+        *self = Self { regularisations: self.regularisations + new.regularisations, ..new };
+        Ok(())
+    }
+
     /// Number of states.
     pub fn len(&self) -> usize {
         self.mean.len()

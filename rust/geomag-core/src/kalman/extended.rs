@@ -39,6 +39,22 @@ impl ExtendedKalmanFilter {
         &self.estimate
     }
 
+    pub(crate) fn from_estimate(estimate: Estimate) -> Self {
+        Self { estimate, innovation: None }
+    }
+
+    pub(crate) fn estimate_mut(&mut self) -> &mut Estimate {
+        &mut self.estimate
+    }
+
+    /// Replaces mean and covariance.
+    ///
+    /// # Errors
+    /// As [`Estimate::new`]; [`Error::Shape`] for another number of states.
+    pub fn set(&mut self, mean: &[f64], covariance: &[f64]) -> Result<()> {
+        self.estimate.set(mean, covariance)
+    }
+
     /// The newest innovation; `None` before the first update.
     pub fn innovation(&self) -> Option<&Innovation> {
         self.innovation.as_ref()

@@ -104,13 +104,7 @@ impl UnscentedKalmanFilter {
     /// # Errors
     /// As [`Estimate::new`]; [`Error::Shape`] for another number of states.
     pub fn set(&mut self, mean: &[f64], covariance: &[f64]) -> Result<()> {
-        if mean.len() != self.estimate.len() {
-            return Err(Error::shape("state x", format!("({},)", self.estimate.len()), format!("({},)", mean.len())));
-        }
-        let regularisations = self.estimate.regularisations;
-        self.estimate = Estimate::new(mean, covariance)?;
-        self.estimate.regularisations += regularisations;
-        Ok(())
+        self.estimate.set(mean, covariance)
     }
 
     /// The 2n + 1 sigma points, one a column: the mean, then plus, then minus the columns of the scaled factor.
