@@ -42,6 +42,7 @@ from geomag._geomag import (
     __version__,
     match_grid,
 )
+from geomag.io import read_grid, read_track
 
 __all__ = [
     "CandidateLimitError",
@@ -65,4 +66,6 @@ __all__ = [
     "UnknownVariableError",
     "__version__",
     "match_grid",
+    "read_grid",
+    "read_track",
 ]
