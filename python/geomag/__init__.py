@@ -34,6 +34,15 @@ from geomag._errors import (
     UnknownVariableError,
 )
 from geomag._geomag import (
+    ExtendedKalmanFilter,
+    FieldNavigator,
+    FieldObservations,
+    FieldSensor,
+    HarmonicMap,
+    LocalFrame,
+    NavigatorStep,
+    RectangularHarmonicModel,
+    UnscentedKalmanFilter,
     Fix,
     GridMap,
     Iema,
@@ -45,6 +54,15 @@ from geomag._geomag import (
 from geomag.io import read_grid, read_track
 
 __all__ = [
+    "ExtendedKalmanFilter",
+    "FieldNavigator",
+    "FieldObservations",
+    "FieldSensor",
+    "HarmonicMap",
+    "LocalFrame",
+    "NavigatorStep",
+    "RectangularHarmonicModel",
+    "UnscentedKalmanFilter",
     "CandidateLimitError",
     "Fix",
     "GeomagError",

@@ -13,10 +13,14 @@ use pyo3::prelude::*;
 mod arrays;
 mod error;
 mod fix;
+mod frame;
 mod grid;
 mod grid_search;
+mod harmonic;
 mod iema;
+mod kalman;
 mod long_call;
+mod navigator;
 mod synthetic;
 mod track;
 
@@ -24,6 +28,14 @@ mod track;
 mod _geomag {
     #[pymodule_export]
     use crate::fix::PyFix;
+    #[pymodule_export]
+    use crate::frame::PyLocalFrame;
+    #[pymodule_export]
+    use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
+    #[pymodule_export]
+    use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
+    #[pymodule_export]
+    use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
     #[pymodule_export]
     use crate::grid::PyGridMap;
     #[pymodule_export]

@@ -173,6 +173,35 @@ impl RectangularHarmonicModel {
         self.collect::<false, _>(positions, extrapolate, [f64::NAN; 3], |e| e.field)
     }
 
+    /// Field at geographic points (degrees, degrees, metres above the frame's Earth), north, east, down at each point.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a model without a frame, [`Error::Shape`] for arrays of different lengths.
+    pub fn field_geographic(
+        &self,
+        latitude_deg: &[f64],
+        longitude_deg: &[f64],
+        height_m: &[f64],
+        extrapolate: bool,
+    ) -> Result<Vec<[f64; 3]>> {
+        let Some(frame) = self.frame() else {
+            return Err(Error::invalid("model", "a frame on the Earth", "a model without one"));
+        };
+        let places = Positions::new(latitude_deg, longitude_deg, height_m)?;
+        let points: Vec<[f64; 3]> = (0..places.len())
+            .map(|i| {
+                let [latitude, longitude, height] = places.at(i);
+                frame.forward(latitude, longitude, height)
+            })
+            .collect();
+        let axis = |k: usize| points.iter().map(|p| p[k]).collect::<Vec<_>>();
+        let (north, east, down) = (axis(0), axis(1), axis(2));
+        let field = self.field(&Positions::new(&north, &east, &down)?, extrapolate);
+        Ok((field.iter().enumerate())
+            .map(|(i, &b)| frame.rotate_from_origin(latitude_deg[i], longitude_deg[i], b))
+            .collect())
+    }
+
     /// Total intensity of the modelled field plus a constant `main_field` (north, east, down) at points.
     pub fn intensity(&self, positions: &Positions<'_>, main_field: [f64; 3], extrapolate: bool) -> Vec<f64> {
         self.collect::<false, _>(positions, extrapolate, f64::NAN, |e| {
