@@ -146,7 +146,7 @@ def demo(
     slope = float(np.nanmedian(np.hypot(*scene.grid.gradient(*scene.truth.T))))
     spread = 2.0 * scene.sigma + 0.3 * slope * max(scene.grid.spacing_m)
     iema, steps = solve(
-        scene.grid, scene.track, "iema", scene.half_width_m, sigma=spread, max_misses=4, tolerance_m=300.0, surface=True
+        scene.grid, scene.track, "iema", scene.half_width_m, sigma=spread, max_misses=2, tolerance_m=300.0, surface=True
     )
     search, _ = solve(scene.grid, scene.track, "mad", scene.half_width_m, surface=True)
     for name, fix in (("IEMA", iema), ("grid search, mean absolute difference about a free level", search)):

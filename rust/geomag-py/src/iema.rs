@@ -140,7 +140,7 @@ impl PyIema {
 #[pymethods]
 impl PyIema {
     #[new]
-    #[pyo3(signature = (grid, *, sigma, half_width, tolerance = None, step = None, max_misses = 0, unknown = "keep",
+    #[pyo3(signature = (grid, sigma, half_width, tolerance = None, *, step = None, max_misses = 0, unknown = "keep",
                         gate = 3.0, max_candidates = DEFAULT_MAX_CANDIDATES))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(

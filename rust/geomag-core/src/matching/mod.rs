@@ -2,4 +2,5 @@
 
 pub mod grid_search;
 pub mod iema;
+mod local_fit;
 pub mod similarity;
