@@ -289,7 +289,7 @@ def campaign_rows(
     grid: GridMap,
     truth: GridMap | SyntheticField | None,
     campaign_json: str,
-    methods_json: str,
+    methods: Sequence[tuple[str, str, dict[str, Any]]],
     trials: Sequence[int],
     threads: int | None = None,
     progress: Progress = None,
@@ -297,3 +297,12 @@ def campaign_rows(
 def campaign_flight(
     grid: GridMap, truth: GridMap | SyntheticField | None, campaign_json: str, trial: int
 ) -> tuple[Path, Track, Floats]: ...
+
+# Behind geomag.blocks.
+
+def bound_reach(
+    options_json: str, spacing: Sequence[float], geographic: bool, latitude_deg: float
+) -> tuple[int, int]: ...
+def bound_block(
+    values: ArrayLike, y: ArrayLike, spacing: Sequence[float], geographic: bool, options_json: str
+) -> list[tuple[Floats, Floats]]: ...

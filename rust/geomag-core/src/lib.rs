@@ -17,6 +17,7 @@ pub mod fix;
 pub mod frame;
 pub mod grid;
 pub mod harmonic;
+pub mod information;
 pub mod kalman;
 pub mod lattice;
 pub mod matching;
