@@ -53,6 +53,7 @@ from geomag._geomag import (
     match_grid,
     tune_sequence,
 )
+from geomag._versions import show_versions
 from geomag._sequence import ChosenSamples, delta_modulation
 from geomag.io import read_grid, read_track
 
@@ -92,5 +93,6 @@ __all__ = [
     "match_grid",
     "read_grid",
     "read_track",
+    "show_versions",
     "tune_sequence",
 ]

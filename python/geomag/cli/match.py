@@ -11,11 +11,10 @@ import typer
 from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import Fix, GridMap, Iema, Track, match_grid
+from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid
 from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
-
 
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
@@ -30,6 +29,7 @@ class Method(StrEnum):
     prod = "prod"
     ncc = "ncc"
     hausdorff = "hausdorff"
+    contour = "contour"
 
 
 def default_half_width_m(grid: GridMap) -> float:
@@ -54,14 +54,25 @@ def match(
             help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated."
         ),
     ] = None,
-    remove_mean: Annotated[
-        bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")
-    ] = True,
-    tolerance_m: Annotated[float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")] = 0.0,
+    remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
+    tolerance_m: Annotated[
+        float,
+        typer.Option(
+            help="IEMA: extent of the feasible set that is unique enough, m. Contour: radius of a right fix, m."
+        ),
+    ] = 0.0,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
-        float, typer.Option(help="Search headings up to this, in five steps a side (not IEMA).")
+        float,
+        typer.Option(
+            help="Search headings up to this, in five steps a side (not IEMA). Contour: standard deviation of the heading."
+        ),
     ] = 0.0,
+    scale_sigma: Annotated[float, typer.Option(help="Contour: standard deviation of the speed error, a ratio.")] = 0.0,
+    letter: Annotated[
+        bool,
+        typer.Option(help="Contour: rigid ICCP to the letter, from the INS; otherwise a lattice of starts, refined."),
+    ] = False,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
@@ -70,6 +81,8 @@ def match(
     drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Write a picture to this file.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a self-contained HTML page to this file.")] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write track and fix as GeoJSON to this file.")] = None,
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
     grid = read_grid(map, variable, geographic=geographic)
@@ -85,10 +98,27 @@ def match(
         tolerance_m=tolerance_m,
         max_misses=max_misses,
         heading_deg=heading_deg,
-        surface=plot is not None,
+        scale_sigma=scale_sigma,
+        letter=letter,
+        surface=plot is not None or report is not None,
     )
     if plot is not None:
         draw(grid, samples, fix, plot, method.value, steps)
+    if report is not None:
+        told: dict[str, object] = {
+            "map": map,
+            "track": track,
+            "method": method.value,
+            "half-width-m": reach,
+            "sigma": sigma,
+        }
+        told |= {"tolerance-m": tolerance_m, "max-misses": max_misses, "heading-deg": heading_deg}
+        write_report(grid, samples, fix, report, method.value, steps, told)
+    if geojson is not None:
+        from geomag.exchange import write_geojson
+
+        crs = None if grid.geographic else grid.crs
+        write_geojson(geojson, {"indicated": samples, "fix": fix}, crs=crs)
     if json_:
         typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
     else:
@@ -107,6 +137,8 @@ def solve(
     tolerance_m: float = 0.0,
     max_misses: int = 0,
     heading_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    letter: bool = False,
     surface: bool = False,
 ) -> tuple[Fix, list[Feasible]]:
     """Run one matcher; for IEMA with `surface` also the feasible set after every sample."""
@@ -130,6 +162,25 @@ def solve(
             if step.status != "searching":
                 break
         return iema.run(track), frames
+    if method == "contour" and letter:
+        return match_contour(grid, track, sigma=sigma, radius_m=half_width_m), []
+    if method == "contour":
+        found = match_contour(
+            grid,
+            track,
+            transform="translation",
+            starts="grid",
+            refine=True,
+            sigma=sigma,
+            half_width_m=half_width_m,
+            # The half width bounds the INS error: three standard deviations.
+            offset_sigma_m=half_width_m / 3.0,
+            heading_sigma_deg=heading_deg or None,
+            scale_sigma=scale_sigma or None,
+            bias_sigma=np.inf if remove_mean else None,
+            fix_radius_m=tolerance_m or None,
+        )
+        return found, []
     headings = np.linspace(-heading_deg, heading_deg, 11) if heading_deg else [0.0]
     fix = match_grid(
         grid,
@@ -171,3 +222,29 @@ def draw(
         least_is_best=method not in ("prod", "ncc"),
     )
     save(figure, path)
+
+
+def write_report(
+    grid: GridMap,
+    track: Track,
+    fix: Fix,
+    path: Path,
+    method: str,
+    steps: list[Feasible],
+    settings: dict[str, object],
+) -> None:
+    """Write the HTML page of a match."""
+    from geomag.plot import Frame
+    from geomag.report import match_report
+
+    match_report(
+        path,
+        grid,
+        track,
+        fix,
+        steps=[Frame(*step) for step in steps] or None,
+        surface_label=method,
+        least_is_best=method not in ("prod", "ncc"),
+        settings=settings,
+        title=f"Match of {settings['track']} on {settings['map']}",
+    )

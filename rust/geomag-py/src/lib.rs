@@ -11,6 +11,7 @@ use geomag_core::state;
 use pyo3::prelude::*;
 
 mod arrays;
+mod campaign;
 mod contour;
 mod error;
 mod fix;
@@ -25,6 +26,8 @@ mod track;
 
 #[pymodule(gil_used = false)]
 mod _geomag {
+    #[pymodule_export]
+    use crate::campaign::{campaign_flight, campaign_rows};
     #[pymodule_export]
     use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
     #[pymodule_export]
