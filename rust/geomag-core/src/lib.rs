@@ -16,6 +16,7 @@ pub mod field;
 pub mod fix;
 pub mod frame;
 pub mod grid;
+pub mod harmonic;
 pub mod kalman;
 pub mod lattice;
 pub mod matching;

@@ -11,6 +11,7 @@ use pyo3::types::{PyDict, PyTuple};
 
 use crate::arrays::{broadcast, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
+use crate::harmonic::PyHarmonicMap;
 
 /// Reads the name of an interpolation.
 pub fn interpolation(name: &str) -> PyRes<Interpolation> {
@@ -373,5 +374,8 @@ pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
     if let Ok(grid) = object.cast::<PyGridMap>() {
         return Ok(grid.get().inner.clone());
     }
-    Err(invalid("grid", "a geomag.GridMap", object.get_type().name()?))
+    if let Ok(map) = object.cast::<PyHarmonicMap>() {
+        return Ok(map.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap or HarmonicMap", object.get_type().name()?))
 }
