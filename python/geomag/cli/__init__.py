@@ -40,7 +40,7 @@ def _main(
     pass
 
 
-from geomag.cli import demo, info, match, reproduce  # noqa: E402, F401 - each registers its command on `app`
+from geomag.cli import demo, field, info, match, reproduce  # noqa: E402, F401 - each registers its command on `app`
 
 
 def run(arguments: Sequence[str]) -> int:
