@@ -84,7 +84,9 @@ def test_bounds_hold_every_value_within_and_are_attained():
         px, py = rng.uniform(x[4], x[-5]), rng.uniform(y[4], y[-5])
         half = rng.uniform(0.1, 7, 2)
         low, high = grid.bounds(px, py, half_width=half)
-        dense = grid.sample(*np.meshgrid(np.linspace(px - half[0], px + half[0], 61), np.linspace(py - half[1], py + half[1], 61)))
+        dense = grid.sample(
+            *np.meshgrid(np.linspace(px - half[0], px + half[0], 61), np.linspace(py - half[1], py + half[1], 61))
+        )
         assert low - 1e-9 <= dense.min()
         assert dense.max() <= high + 1e-9
         assert dense.max() > high - 0.15 * (high - low)
@@ -107,7 +109,7 @@ def test_holes_spoil_only_what_needs_them():
 
 
 def test_either_direction_gives_the_same_map():
-    _, values, x, y, grid = make(6, sigma=3.0)
+    _, values, x, y, _grid = make(6, sigma=3.0)
     sigma = np.abs(values)
     reference = geomag.GridMap(values, x, y, sigma=sigma)
     for flip_y, flip_x in ((1, -1), (-1, 1), (-1, -1)):
@@ -138,7 +140,9 @@ def test_pickle_keeps_every_bit():
     _, values, x, y, _ = make(8)
     values[0, 0] = np.nan
     for dtype in ("f4", "f8"):
-        grid = geomag.GridMap(values.astype(dtype), x + 0.1, y / 3, sigma=np.abs(values), name="n", units="nT", crs="EPSG:1")
+        grid = geomag.GridMap(
+            values.astype(dtype), x + 0.1, y / 3, sigma=np.abs(values), name="n", units="nT", crs="EPSG:1"
+        )
         back = pickle.loads(pickle.dumps(grid))
         assert back.values.tobytes() == grid.values.tobytes()
         assert back.x.tobytes() == grid.x.tobytes()

@@ -118,9 +118,7 @@ def test_track_near_the_border_scores_what_it_has(criterion):
     expected = oracle_surface(values, x, y, west, ox, oy, criterion, scales=(60.0, 20.0), min_overlap=0.6)
     assert np.isnan(expected).any()
     assert np.isfinite(expected).any()
-    fix = geomag.match_grid(
-        grid, west, criterion, half_width=(300, 160), surface=True, min_overlap=0.6, **scales
-    )
+    fix = geomag.match_grid(grid, west, criterion, half_width=(300, 160), surface=True, min_overlap=0.6, **scales)
     np.testing.assert_allclose(fix.surface, expected, rtol=1e-9, atol=1e-9)
 
 
@@ -137,7 +135,7 @@ def test_finds_the_offset_below_the_lattice_step(criterion):
 
 
 def test_heading_and_scale_are_found():
-    rng, grid, _, _, _, _, _ = case(50)
+    _rng, grid, _, _, _, _, _ = case(50)
     n = 16
     truth = np.column_stack([600 + 60 * np.arange(n), 100 + 35 * np.arange(n)])
     readings = grid.sample(truth[:, 0], truth[:, 1])

@@ -133,7 +133,7 @@ def test_damaged_state_is_refused():
 
 
 def test_reset_begins_again():
-    rng, values, x, y = make(2)
+    _rng, values, x, y = make(2)
     iema = geomag.Iema(geomag.GridMap(values, x, y), sigma=1.0, half_width=(0.05, 0.1))
     assert iema.n_feasible == 11 * 11
     iema.update(10.2, 40.4, 1e6)

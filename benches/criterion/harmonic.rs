@@ -2,7 +2,9 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use geomag_core::harmonic::{FitOptions, Observations, Period, Positions, RectangularHarmonicModel, Region, fit, terms};
+use geomag_core::harmonic::{
+    FitOptions, Observations, Period, Positions, RectangularHarmonicModel, Region, fit, terms,
+};
 use geomag_core::monitor::Quiet;
 
 const HALF: f64 = 2e5;
@@ -41,7 +43,8 @@ fn evaluate(c: &mut Criterion) {
     group.bench_function("gradient, scattered points", |b| b.iter(|| model.gradient(&positions, false)));
     let axis: Vec<f64> = (0..500).map(|i| HALF * (2.0 * f64::from(i) / 499.0 - 1.0)).collect();
     group.throughput(Throughput::Elements(250_000));
-    group.bench_function("field, 500 x 500 grid", |b| b.iter(|| model.field_grid(&axis, &axis, -500.0, false).unwrap()));
+    group
+        .bench_function("field, 500 x 500 grid", |b| b.iter(|| model.field_grid(&axis, &axis, -500.0, false).unwrap()));
     group.finish();
 }
 

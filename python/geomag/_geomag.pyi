@@ -218,6 +218,87 @@ def match_grid(
     progress: Progress = None,
 ) -> Fix: ...
 
+# Behind geomag.synthetic.
+
+@final
+class SyntheticField:
+    def __new__(cls, spec_json: str, extent: Sequence[float], geographic: bool, seed: int) -> SyntheticField: ...
+    @property
+    def extent(self) -> list[float]: ...
+    @property
+    def geographic(self) -> bool: ...
+    def sample(self, x: ArrayLike, y: ArrayLike) -> Any: ...
+    def grid(
+        self,
+        step: float | None = None,
+        *,
+        x: ArrayLike | None = None,
+        y: ArrayLike | None = None,
+        name: str | None = None,
+        units: str | None = None,
+        crs: str | None = None,
+    ) -> GridMap: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(bytes: bytes) -> SyntheticField: ...
+
+@final
+class Path:
+    def __new__(cls, x: ArrayLike, y: ArrayLike, time_s: ArrayLike, *, geographic: bool = False) -> Path: ...
+    @staticmethod
+    def straight(
+        start: Sequence[float],
+        *,
+        course_deg: float,
+        speed_m_s: float,
+        interval_s: float,
+        samples: int,
+        geographic: bool = False,
+    ) -> Path: ...
+    @staticmethod
+    def along_legs(
+        start: Sequence[float],
+        legs: Sequence[tuple[int, float]],
+        *,
+        course_deg: float,
+        speed_m_s: float,
+        interval_s: float,
+        geographic: bool = False,
+    ) -> Path: ...
+    @property
+    def x(self) -> Floats: ...
+    @property
+    def y(self) -> Floats: ...
+    @property
+    def time_s(self) -> Floats: ...
+    @property
+    def geographic(self) -> bool: ...
+    def offset_m(self, track: Track) -> tuple[float, float]: ...
+    def __len__(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(bytes: bytes) -> Path: ...
+
+def draw_ins_error(spread_json: str, seed: int) -> str: ...
+def fly(
+    field: SyntheticField | GridMap, path: Path, ins_json: str, sensor_json: str, seed: int
+) -> tuple[Track, Floats]: ...
+
+# Behind geomag.campaign.
+
+def campaign_rows(
+    grid: GridMap,
+    truth: GridMap | SyntheticField | None,
+    campaign_json: str,
+    methods_json: str,
+    trials: Sequence[int],
+    threads: int | None = None,
+    progress: Progress = None,
+) -> list[dict[str, Any]]: ...
+def campaign_flight(
+    grid: GridMap, truth: GridMap | SyntheticField | None, campaign_json: str, trial: int
+) -> tuple[Path, Track, Floats]: ...
+
 # ---- frames, harmonic models, filters, field navigation
 
 Earth: TypeAlias = Literal["wgs84", "sphere"]

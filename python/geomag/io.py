@@ -6,6 +6,7 @@ pandas. `pip install 'geomag-nav[io]'` brings them.
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -148,7 +149,9 @@ def _read_netcdf(path: Path, variable: str | None, geographic: bool | None, sigm
         layer: Any = sigma
         if isinstance(sigma, str):
             if sigma not in dataset:
-                raise UnknownVariableError(f"{path}: needed a variable among {', '.join(fields)} for sigma, got '{sigma}'")
+                raise UnknownVariableError(
+                    f"{path}: needed a variable among {', '.join(fields)} for sigma, got '{sigma}'"
+                )
             layer = dataset[sigma]
         return grid_from_xarray(dataset[variable], geographic=geographic, sigma=layer)
 
@@ -183,8 +186,8 @@ def grid_from_xarray(
     if values.dtype not in (np.float32, np.float64):
         values = values.astype(np.float64)
     layer: Any = sigma
-    if sigma is not None and hasattr(sigma, "dims"):
-        layer = np.asarray(sigma.squeeze(drop=True).transpose(y_name, x_name), dtype=np.float64)
+    if layer is not None and hasattr(layer, "dims"):
+        layer = np.asarray(layer.squeeze(drop=True).transpose(y_name, x_name), dtype=np.float64)
     name = str(data_array.name) if data_array.name is not None else None
     unit = data_array.attrs.get("units")
     return GridMap(
@@ -203,7 +206,7 @@ def grid_to_xarray(grid: GridMap) -> xr.DataArray:
     """Return the map as a DataArray with coordinate units and, where known, name, units and coordinate system."""
     xarray = require("xarray", "io", "GridMap.to_xarray")
     x_name, y_name = ("longitude", "latitude") if grid.geographic else ("easting", "northing")
-    array = xarray.DataArray(
+    array: xr.DataArray = xarray.DataArray(
         grid.values, coords={y_name: grid.y, x_name: grid.x}, dims=(y_name, x_name), name=grid.name or "field"
     )
     array[x_name].attrs["units"] = "degrees_east" if grid.geographic else "m"
@@ -224,7 +227,9 @@ def _read_raster(path: Path, geographic: bool | None, sigma: float | None) -> Gr
     except rasterio.errors.RasterioError as error:
         raise ReadError(f"{path}: needed a readable raster, got: {error}") from error
     if transform.b != 0.0 or transform.d != 0.0:
-        raise InvalidInputError(f"{path}: needed rows along x and columns along y, got a rotated raster {tuple(transform)[:6]}")
+        raise InvalidInputError(
+            f"{path}: needed rows along x and columns along y, got a rotated raster {tuple(transform)[:6]}"
+        )
     kind = np.float32 if band.dtype == np.float32 else np.float64
     values = np.ma.filled(band.astype(kind), np.nan)
     # The two nodata values of Surfer; not all versions of the driver declare them.
@@ -314,9 +319,9 @@ def _from_points(
 
     xs, column = axis(x, "x")
     ys, row = axis(y, "y")
-    if len(xs) * len(ys) > 100 * len(x) + 10_000:
+    if len(xs) * len(ys) > 10 * len(x):
         raise InvalidInputError(
-            f"{path}: needed points that fill a grid, got {len(x)} points for {len(ys)} x {len(xs)} nodes; "
+            f"{path}: needed points that fill a tenth of a grid at least, got {len(x)} points for {len(ys)} x {len(xs)} nodes; "
             "scattered data must be gridded first"
         )
     grid = np.full((len(ys), len(xs)), np.nan)
@@ -331,15 +336,16 @@ def _read_table(path: Path) -> pd.DataFrame:
     pandas = require("pandas", "io", "reading tables")
     try:
         if path.suffix.lower() in (".parquet", ".pq"):
-            return pandas.read_parquet(path)
+            parquet: pd.DataFrame = pandas.read_parquet(path)
+            return parquet
         # A header is a first line with a word that is no number.
         options = {"comment": "#", "skipinitialspace": True, "sep": None, "engine": "python"}
         if path.name.lower().endswith((".csv", ".csv.gz")):
             options = {"comment": "#", "skipinitialspace": True}
         first = pandas.read_csv(path, nrows=1, header=None, dtype=str, **options)
         numeric = all(_is_number(v) for v in first.iloc[0])
-        table = pandas.read_csv(path, header=None if numeric else 0, **options)
-    except (pandas.errors.ParserError, pandas.errors.EmptyDataError, UnicodeDecodeError, OSError, ValueError) as error:
+        table: pd.DataFrame = pandas.read_csv(path, header=None if numeric else 0, **options)
+    except (pandas.errors.ParserError, pandas.errors.EmptyDataError, csv.Error, OSError, ValueError) as error:
         raise ReadError(f"{path}: needed a readable table, got: {error}") from error
     if not len(table):
         raise ReadError(f"{path}: needed at least one row, got none")
@@ -373,7 +379,9 @@ def _pick(
             return names[name]
     if fallback is not None:
         return fallback
-    raise UnknownVariableError(f"{where}: needed a column for {what}, got {', '.join(names.values())}; name it with {what}=")
+    raise UnknownVariableError(
+        f"{where}: needed a column for {what}, got {', '.join(names.values())}; name it with {what}="
+    )
 
 
 def _floats(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any, Any]:
@@ -427,7 +435,9 @@ def track_from_pandas(
     if missing not in ("error", "drop"):
         raise InvalidInputError(f"missing: needed 'error' or 'drop', got '{missing}'")
     names = {str(c).lower(): str(c) for c in table.columns}
-    time_name = _pick(table, time, (), "time", where) if time else next((names[n] for n in _TIME_NAMES if n in names), None)
+    time_name = (
+        _pick(table, time, (), "time", where) if time else next((names[n] for n in _TIME_NAMES if n in names), None)
+    )
     columns = [_floats(table, c, where) for c in (x_name, y_name, value_name)]
     seconds = None if time_name is None else _seconds(table, time_name, where)
     bad = ~np.isfinite(np.column_stack(columns)).all(axis=1)
@@ -440,7 +450,8 @@ def track_from_pandas(
             )
         columns = [c[~bad] for c in columns]
         seconds = None if seconds is None else seconds[~bad]
-    return Track(*columns, time_s=seconds)
+    px, py, values = columns
+    return Track(px, py, values, time_s=seconds)
 
 
 def _seconds(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any, Any]:
@@ -460,7 +471,7 @@ def track_to_pandas(track: Track, *, geographic: bool = False) -> pd.DataFrame:
     """Return the samples as a DataFrame with columns x, y (or longitude, latitude), value and, where known, time_s."""
     pandas = require("pandas", "io", "track_to_pandas")
     x_name, y_name = ("longitude", "latitude") if geographic else ("x", "y")
-    table = pandas.DataFrame({x_name: track.x, y_name: track.y, "value": track.values})
+    table: pd.DataFrame = pandas.DataFrame({x_name: track.x, y_name: track.y, "value": track.values})
     if track.time_s is not None:
         table["time_s"] = track.time_s
     return table

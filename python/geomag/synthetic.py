@@ -205,8 +205,9 @@ class InsSpread:
 
     def draw(self, seed: int) -> InsError:
         """Draw one error."""
-        drawn: dict[str, Any] = json.loads(_draw_ins_error(_json(self, InsSpread), seed))
-        return InsError(**{k: tuple(v) if isinstance(v, list) else v for k, v in drawn.items()})
+        drawn = json.loads(_draw_ins_error(_json(self, InsSpread), seed))
+        settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in drawn.items()}
+        return InsError(**settings)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.cli import NO_FIX, app
-from geomag.cli._common import describe, half_width
+from geomag.cli._common import describe
 from geomag.cli.match import draw, solve
 from geomag.io import read_grid
 
@@ -82,7 +82,9 @@ def synthetic_scene(seed: int) -> Scene:
         geographic=True,
     )
     drift = rng.uniform(600, 1400) * np.array([np.cos(a := rng.uniform(0, 2 * np.pi)), np.sin(a)])
-    ins = synthetic.InsError(position_m=(float(drift[0]), float(drift[1])), velocity_m_s=(0.05, -0.04), walk_m_sqrt_s=0.3)
+    ins = synthetic.InsError(
+        position_m=(float(drift[0]), float(drift[1])), velocity_m_s=(0.05, -0.04), walk_m_sqrt_s=0.3
+    )
     sensor = synthetic.Sensor(sigma=1.0, outlier_rate=0.05, outlier_sigma=60.0, diurnal=4.0)
     flight = synthetic.fly(field, path, ins=ins, sensor=sensor, seed=seed)
     truth = np.column_stack([path.x, path.y])
@@ -101,7 +103,9 @@ def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spac
     grid = read_grid(map_file)
     x_name = _pick(table, None, ("longitude", "x", "easting"), "x", lines)
     y_name = _pick(table, None, ("latitude", "y", "northing"), "y", lines)
-    value_name = _pick(table, None, (*((grid.name,) if grid.name else ()), "total_field_anomaly_nt", "value"), "value", lines)
+    value_name = _pick(
+        table, None, (*((grid.name,) if grid.name else ()), "total_field_anomaly_nt", "value"), "value", lines
+    )
     line_name = _pick(table, None, ("line",), "line", lines)
     rng = np.random.default_rng(seed)
     numbers = rng.permutation(np.unique(_floats(table, line_name, lines)))
@@ -140,7 +144,9 @@ def demo(
     scene = synthetic_scene(seed) if lines is None or map is None else survey_scene(lines, map, seed)
     east, north = scene.offset_m
     typer.echo(f"scene       {scene.title}: {len(scene.track)} samples on {scene.grid!r}")
-    typer.echo(f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)")
+    typer.echo(
+        f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)"
+    )
     # IEMA's gate knows the sensor alone; off the lattice the map differs by gradient times part of a cell, so the demo
     # gives it that much more, lets a few outliers pass, and asks for a region instead of a single candidate.
     slope = float(np.nanmedian(np.hypot(*scene.grid.gradient(*scene.truth.T))))

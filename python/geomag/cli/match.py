@@ -16,7 +16,6 @@ from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
 
-
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
 
@@ -54,10 +53,10 @@ def match(
             help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated."
         ),
     ] = None,
-    remove_mean: Annotated[
-        bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")
-    ] = True,
-    tolerance_m: Annotated[float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")] = 0.0,
+    remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
+    tolerance_m: Annotated[
+        float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")
+    ] = 0.0,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
         float, typer.Option(help="Search headings up to this, in five steps a side (not IEMA).")
@@ -70,6 +69,8 @@ def match(
     drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
     plot: Annotated[Path | None, typer.Option(help="Write a picture to this file.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a self-contained HTML page to this file.")] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write track and fix as GeoJSON to this file.")] = None,
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
     grid = read_grid(map, variable, geographic=geographic)
@@ -85,10 +86,25 @@ def match(
         tolerance_m=tolerance_m,
         max_misses=max_misses,
         heading_deg=heading_deg,
-        surface=plot is not None,
+        surface=plot is not None or report is not None,
     )
     if plot is not None:
         draw(grid, samples, fix, plot, method.value, steps)
+    if report is not None:
+        told: dict[str, object] = {
+            "map": map,
+            "track": track,
+            "method": method.value,
+            "half-width-m": reach,
+            "sigma": sigma,
+        }
+        told |= {"tolerance-m": tolerance_m, "max-misses": max_misses, "heading-deg": heading_deg}
+        write_report(grid, samples, fix, report, method.value, steps, told)
+    if geojson is not None:
+        from geomag.exchange import write_geojson
+
+        crs = None if grid.geographic else grid.crs
+        write_geojson(geojson, {"indicated": samples, "fix": fix}, crs=crs)
     if json_:
         typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
     else:
@@ -171,3 +187,29 @@ def draw(
         least_is_best=method not in ("prod", "ncc"),
     )
     save(figure, path)
+
+
+def write_report(
+    grid: GridMap,
+    track: Track,
+    fix: Fix,
+    path: Path,
+    method: str,
+    steps: list[Feasible],
+    settings: dict[str, object],
+) -> None:
+    """Write the HTML page of a match."""
+    from geomag.plot import Frame
+    from geomag.report import match_report
+
+    match_report(
+        path,
+        grid,
+        track,
+        fix,
+        steps=[Frame(*step) for step in steps] or None,
+        surface_label=method,
+        least_is_best=method not in ("prod", "ncc"),
+        settings=settings,
+        title=f"Match of {settings['track']} on {settings['map']}",
+    )

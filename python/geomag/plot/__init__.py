@@ -7,6 +7,7 @@ written unless asked for (`save`). Needs matplotlib: `pip install 'geomag-nav[pl
 `field_map`            a map with its colour bar, scale bar and north arrow
 `tracks`, `ellipse`    indicated, true and matched tracks; error ellipses of fixes
 `match_figure`         all about one match on one sheet
+`match_map`            the part of the map about a match, with its tracks
 `score_surface`        scores over the offset lattice
 `frames`, `animate`    a feasible set or a posterior, sample by sample
 `residuals`            measured against map values along the track
@@ -29,7 +30,7 @@ from geomag.plot._diagrams import (
 )
 from geomag.plot._frames import Frame, animate, frames, score_surface
 from geomag.plot._maps import ellipse, field_map, north_arrow, scale_bar, suitability_map, tracks
-from geomag.plot._match import match_figure
+from geomag.plot._match import match_figure, match_map
 from geomag.plot._style import COLOURS, save, style
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "filter_errors",
     "frames",
     "match_figure",
+    "match_map",
     "north_arrow",
     "residuals",
     "save",

@@ -10,9 +10,10 @@ import numpy as np
 from geomag.plot._diagrams import residuals
 from geomag.plot._frames import Frame, draw_frames, pick, score_surface
 from geomag.plot._maps import _xy, ellipse, field_map, metres_per_unit, tracks
-from geomag.plot._style import new_figure, styled
+from geomag.plot._style import new_axes, new_figure, styled
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from geomag._geomag import Fix, GridMap, Track
@@ -40,6 +41,36 @@ def _turn_onto(grid: GridMap, xy: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return xy
     middle = (grid.x[0] + grid.x[-1]) / 2
     return np.column_stack([xy[:, 0] - 360.0 * np.floor((xy[:, 0] - middle + 180.0) / 360.0), xy[:, 1]])
+
+
+def true_offset(grid: GridMap, track: Track, truth: object | None) -> tuple[float, float] | None:
+    """Offset of the newest sample, map units, where the truth is known."""
+    if truth is None:
+        return None
+    newest, indicated = _turn_onto(grid, _xy(truth))[-1], _turn_onto(grid, _xy(track))[-1]
+    return float(newest[0] - indicated[0]), float(newest[1] - indicated[1])
+
+
+@styled
+def match_map(
+    grid: GridMap, track: Track, fix: Fix, ax: Axes | None = None, *, truth: object | None = None,
+    title: str | None = None,
+) -> Axes:  # fmt: skip
+    """Draw the part of the map about a match with indicated, matched and (where it is known) true track."""
+    ax = new_axes(ax, 6.8, 5.6)
+    indicated = _turn_onto(grid, _xy(track))
+    true_points = None if truth is None else _turn_onto(grid, _xy(truth))
+    matched = _turn_onto(grid, _xy(fix))
+    shown = matched if len(matched) and np.isfinite(matched).all() else None
+    bounds = _bounds(grid, [c for c in (indicated, true_points, shown) if c is not None], 0.12)
+    field_map(grid, ax, bounds=bounds, title=title)
+    tracks(ax, indicated=indicated, true=true_points, matched=shown, legend=False)
+    if fix.covariance_m2 is not None and np.isfinite(fix.covariance_m2).all():
+        ellipse(ax, fix.x, fix.y, fix.covariance_m2, geographic=grid.geographic)
+    ax.legend(loc="upper left")
+    ax.set_xlim(bounds[0], bounds[2])
+    ax.set_ylim(bounds[1], bounds[3])
+    return ax
 
 
 @styled
@@ -71,60 +102,36 @@ def match_figure(
     """
     with_surface = surface_fix or fix
     has_surface = with_surface.surface is not None
-    has_steps = bool(steps)
-    panels = [has_surface, has_steps]
+    panels = [has_surface, bool(steps)]
     figure = new_figure(12.0 if any(panels) else 7.2, 8.2 if all(panels) or not any(panels) else 7.4)
-    left: Any
-    right: Any
-    halves: Any
+    left: Any = figure
+    right: Any = None
     if any(panels):
-        halves = figure.subfigures(1, 2, width_ratios=(1.0, 0.85))
+        halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 0.85))
         left, right = halves
-    else:
-        left, right = figure, None
     map_ax, profile_ax = left.subplots(2, 1, height_ratios=(2.6, 1.0))
-
-    indicated = _turn_onto(grid, _xy(track))
-    clouds = [indicated]
-    true_points = None if truth is None else _turn_onto(grid, _xy(truth))
-    matched = _turn_onto(grid, _xy(fix))
-    shown_fix = np.isfinite(matched).all() and len(matched) > 0
-    clouds += [c for c in (true_points, matched if shown_fix else None) if c is not None]
-    bounds = _bounds(grid, clouds, 0.12)
-    field_map(grid, map_ax, bounds=bounds)
-    tracks(map_ax, indicated=indicated, true=true_points, matched=matched if shown_fix else None, legend=False)
-    if fix.covariance_m2 is not None and np.isfinite(fix.covariance_m2).all():
-        ellipse(map_ax, fix.x, fix.y, fix.covariance_m2, geographic=grid.geographic)
-    map_ax.legend(loc="upper left")
-    map_ax.set_xlim(bounds[0], bounds[2])
-    map_ax.set_ylim(bounds[1], bounds[3])
+    match_map(grid, track, fix, map_ax, truth=truth)
     residuals(grid, track, fix, profile_ax, title="Readings and the map along the track")
-
-    true_offset: tuple[float, float] | None = None
-    if true_points is not None:
-        true_offset = (float(true_points[-1, 0] - indicated[-1, 0]), float(true_points[-1, 1] - indicated[-1, 1]))
-    latitude = float(indicated[-1, 1]) if grid.geographic else 0.0
+    offset = true_offset(grid, track, truth)
+    latitude = float(track.y[-1]) if grid.geographic else 0.0
     if right is not None:
-        parts = [right]
-        if has_surface and has_steps:
-            parts = list(right.subfigures(2, 1, height_ratios=(1.0, 1.15)))
+        parts: Any = right.subfigures(2, 1, height_ratios=(1.0, 1.15)) if all(panels) else [right]
         if has_surface:
             score_surface(
                 with_surface, ax=parts[0].subplots(), geographic=grid.geographic, latitude_deg=latitude,
-                true_offset=true_offset, label=surface_label, least_is_best=least_is_best,
+                true_offset=offset, label=surface_label, least_is_best=least_is_best,
                 title="Score of every offset searched",
             )  # fmt: skip
         if steps:
-            chosen = pick(steps, 6)
             axes = list(np.ravel(parts[-1].subplots(2, 3)))
-            draw_frames(axes, 3, chosen, true_offset=true_offset, geographic=grid.geographic, latitude=latitude)
+            draw_frames(axes, 3, pick(steps, 6), true_offset=offset, geographic=grid.geographic, latitude=latitude)
             kind = "Offsets still feasible" if np.asarray(steps[0].values).dtype == bool else "Posterior"
             parts[-1].suptitle(f"{kind}, sample by sample", x=0.02, ha="left", fontsize=10)
-    figure.suptitle(title or _words(fix, true_offset, grid.geographic, latitude), x=0.01, ha="left", fontsize=11)
+    figure.suptitle(title or _words(fix, offset, grid.geographic, latitude), x=0.01, ha="left", fontsize=11)
     return figure
 
 
-def _words(fix: Fix, true_offset: tuple[float, float] | None, geographic: bool, latitude: float) -> str:
+def _words(fix: Fix, offset: tuple[float, float] | None, geographic: bool, latitude: float) -> str:
     """Return the answer in words."""
     if not np.isfinite(fix.offset_m).all():
         return f"{fix.status.capitalize()} after {fix.n_samples} samples: no position"
@@ -133,8 +140,8 @@ def _words(fix: Fix, true_offset: tuple[float, float] | None, geographic: bool, 
         f"{fix.status.capitalize()} after {fix.n_samples} samples: the indicated position is to be moved by "
         f"{abs(east):.0f} m {'east' if east >= 0 else 'west'}, {abs(north):.0f} m {'north' if north >= 0 else 'south'}"
     )
-    if true_offset is not None:
+    if offset is not None:
         scale = metres_per_unit(geographic, latitude)
-        error = np.hypot(*((np.asarray(fix.offset) - true_offset) * scale))
+        error = np.hypot(*((np.asarray(fix.offset) - offset) * scale))
         words += f"; error {error:.0f} m"
     return words

@@ -110,6 +110,7 @@ def save(figure: Figure, path: str | PathLike[str]) -> Path:
     metadata = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     if kind not in metadata:
         raise InvalidInputError(f"picture {target.name}: needed a name ending in .png, .svg or .pdf, got '{kind}'")
+    target.parent.mkdir(parents=True, exist_ok=True)
     with style():
         figure.savefig(target, metadata=metadata[kind])
     return target

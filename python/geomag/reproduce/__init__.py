@@ -138,7 +138,9 @@ def run(
         {
             "key": r.key,
             "settings": {k: str(v) for k, v in r.settings.items()},
-            "tables": [{"title": t.title, "columns": list(t.columns), "rows": [list(x) for x in t.rows]} for t in r.tables],
+            "tables": [
+                {"title": t.title, "columns": list(t.columns), "rows": [list(x) for x in t.rows]} for t in r.tables
+            ],
             "pictures": [p.name for p in r.pictures],
             "notes": r.notes,
         }

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._geomag import GridMap, Iema
+from geomag._geomag import GridMap, Iema, IemaStep, Track
 from geomag.io import read_grid
 from geomag.reproduce import Context
 
@@ -41,6 +41,16 @@ class Draw:
     def indicated(self) -> NDArray[np.float64]:
         """What the INS shows."""
         return self.truth - self.offset
+
+    def track(self, samples: int) -> Track:
+        """The first samples as an indicated track."""
+        x, y = self.indicated[:samples].T
+        return Track(x, y, self.readings[:samples])
+
+    def feed(self, iema: Iema, k: int) -> IemaStep:
+        """Give sample `k` to a matcher."""
+        x, y = self.indicated[k]
+        return iema.update(float(x), float(y), float(self.readings[k]))
 
 
 def draw(
@@ -88,8 +98,8 @@ class Outcome:
 def run_iema(grid: GridMap, trial: Draw, sigma: float) -> Outcome:
     """Run the paper's rule to its end."""
     iema = Iema(grid, sigma=sigma, half_width=HALF_WIDTH)
-    for (x, y), value in zip(trial.indicated, trial.readings, strict=True):
-        step = iema.update(x, y, value)
+    for k in range(len(trial.readings)):
+        step = trial.feed(iema, k)
         if step.status != "searching":
             break
     error = np.abs(np.asarray(step.best_offset) - trial.offset).max() / SPACING

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomag._geomag import Iema, Track
+from geomag._geomag import Iema
 from geomag.reproduce import Context, Report, Table
 from geomag.reproduce._iema import HALF_WIDTH, draw, load_map, run_iema
 
@@ -21,21 +21,24 @@ def run(context: Context) -> Report:
     trial = draw(rng, grid, 40, SIGMA, on_grid=True)
     iema = Iema(grid, sigma=SIGMA, half_width=HALF_WIDTH)
     frames, rows = [], []
-    for (x, y), value in zip(trial.indicated, trial.readings, strict=True):
-        step = iema.update(x, y, value)
+    for k in range(len(trial.readings)):
+        step = trial.feed(iema, k)
         frames.append(Frame(step.n_samples, iema.feasible, *iema.offsets))
         rows.append((step.n_samples, step.n_feasible, step.extent[0], step.extent[1]))
         if step.status != "searching":
             break
     used = step.n_samples
-    track = Track(*trial.indicated[:used].T, trial.readings[:used])
+    track = trial.track(used)
     fix = iema.run(track)
     error = np.abs(np.asarray(fix.offset) - trial.offset).max() / 0.01
     picture = context.save(match_figure(grid, track, fix, truth=trial.truth[:used], steps=frames), "e1_iema")
 
     n = context.trials(500)
     table = []
-    for label, on_grid in (("INS error on the lattice, as in the paper", True), ("INS error anywhere, as in life", False)):
+    for label, on_grid in (
+        ("INS error on the lattice, as in the paper", True),
+        ("INS error anywhere, as in life", False),
+    ):
         ends = [run_iema(grid, draw(rng, grid, 40, SIGMA, on_grid=on_grid), SIGMA) for _ in range(n)]
         fixed = [e for e in ends if e.status == "fixed"]
         wrong = sum(e.error_cells > 1.0 for e in fixed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from geomag.reproduce import Context, Report, Table
@@ -26,8 +28,8 @@ def run(context: Context) -> Report:
             cases[label] = [
                 run_iema(grid, draw(rng, grid, 40, SIGMA, on_grid=on_grid, truth=truth), SIGMA) for _ in range(n)
             ]
-    counts = [("published (one track by its two humps)", *PUBLISHED, "")]
-    summary = [("published", 500, "", "not counted", "", "", "", 11)]
+    counts: list[tuple[object, ...]] = [("published (one track by its two humps)", *PUBLISHED, "")]
+    summary: list[tuple[object, ...]] = [("published", 500, "", "not counted", "", "", "", 11)]
     for label, ends in cases.items():
         fixed = [e for e in ends if e.status == "fixed"]
         lengths = np.array([e.samples for e in fixed] or [0])
@@ -69,7 +71,7 @@ def run(context: Context) -> Report:
     )
 
 
-def _picture(context: Context, cases: dict[str, list[Outcome]]):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _picture(context: Context, cases: dict[str, list[Outcome]]) -> Path:
     import matplotlib.pyplot as plt
 
     from geomag.plot import COLOURS, style
@@ -81,7 +83,11 @@ def _picture(context: Context, cases: dict[str, list[Outcome]]):  # type: ignore
             right = [e.samples for e in ends if e.status == "fixed" and e.error_cells <= 1.0]
             wrong = [e.samples for e in ends if e.status == "fixed" and e.error_cells > 1.0]
             ax.hist(
-                [right, wrong], bins, stacked=True, label=["right", "wrong"], color=[COLOURS["matched"], COLOURS["indicated"]]
+                [right, wrong],
+                bins,
+                stacked=True,
+                label=["right", "wrong"],
+                color=[COLOURS["matched"], COLOURS["indicated"]],
             )
             ax.set_title(label, fontsize=9)
             ax.set_xlabel("samples until a single candidate is left")

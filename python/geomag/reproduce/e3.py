@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from geomag._geomag import GridMap, Iema, Track, match_grid
+from geomag._geomag import GridMap, Iema, match_grid
 from geomag.reproduce import Context, Report, Table
 from geomag.reproduce._iema import HALF_WIDTH, Draw, draw, load_map
 
@@ -29,11 +29,10 @@ def _right(grid: GridMap, trials: list[Draw]) -> list[tuple[object, ...]]:
     for trial in trials:
         matcher = Iema(grid, sigma=SIGMA, half_width=HALF_WIDTH)
         for i, length in enumerate(LENGTHS):
-            step = matcher.update(*trial.indicated[length - 1], trial.readings[length - 1])
+            step = trial.feed(matcher, length - 1)
             iema[i] += _error(step.best_offset, trial) <= 1.0
             unique[i] += step.status == "fixed" and _error(step.best_offset, trial) <= 1.0
-            track = Track(*trial.indicated[:length].T, trial.readings[:length])
-            fix = match_grid(grid, track, "msd", half_width=HALF_WIDTH, refine=False)
+            fix = match_grid(grid, trial.track(length), "msd", half_width=HALF_WIDTH, refine=False)
             msd[i] += _error(fix.offset, trial) <= 1.0
     n = len(trials)
     return [(k, iema[i] / n, unique[i] / n, msd[i] / n) for i, k in enumerate(LENGTHS)]
@@ -42,7 +41,7 @@ def _right(grid: GridMap, trials: list[Draw]) -> list[tuple[object, ...]]:
 def _times(grid: GridMap, trial: Draw) -> list[tuple[object, ...]]:
     """Milliseconds a navigation cycle, both in one run; the lattice is refined where the map is too small for it."""
     rows: list[tuple[object, ...]] = []
-    track = Track(*trial.indicated[:6].T, trial.readings[:6])
+    track = trial.track(6)
     for side, fraction in ((21, 1), (101, 1), (201, 1), (501, 4), (1001, 8), (2001, 16)):
         step = 0.01 / fraction
         half = (side // 2) * step
@@ -50,8 +49,9 @@ def _times(grid: GridMap, trial: Draw) -> list[tuple[object, ...]]:
         for _ in range(5):
             iema = Iema(grid, sigma=SIGMA, half_width=half, step=step)
             for k in range(6):
+                x, y, value = (float(v) for v in (*trial.indicated[k], trial.readings[k]))
                 start = time.perf_counter()
-                iema.update(*trial.indicated[k], trial.readings[k])
+                iema.update(x, y, value)
                 took = time.perf_counter() - start
                 name = "first" if k == 0 else "later"
                 if k in (0, 1):
@@ -87,7 +87,11 @@ def run(context: Context) -> Report:
             ("", "times", "right"),
             (
                 ("IEMA, ms a step", ", ".join(map(str, PUBLISHED_IEMA_MS)), "at step 6"),
-                ("MSD, ms by length", ", ".join(f"{k}: {v}" for k, v in PUBLISHED_MSD_MS.items()), "at length 9, wrong up to 8"),
+                (
+                    "MSD, ms by length",
+                    ", ".join(f"{k}: {v}" for k, v in PUBLISHED_MSD_MS.items()),
+                    "at length 9, wrong up to 8",
+                ),
             ),
         )
     )

@@ -301,7 +301,8 @@ mod tests {
     #[test]
     fn round_trips_to_nanometres() {
         for earth in [Earth::Wgs84, Earth::Sphere { radius_m: 6_371_200.0 }] {
-            for (lat0, lon0, h0) in [(33.0, 118.0, 0.0), (-22.0, -179.5, 300.0), (89.0, 10.0, 50.0), (0.0, 0.0, -20.0)] {
+            for (lat0, lon0, h0) in [(33.0, 118.0, 0.0), (-22.0, -179.5, 300.0), (89.0, 10.0, 50.0), (0.0, 0.0, -20.0)]
+            {
                 let frame = LocalFrame::new(lat0, lon0, h0, earth).unwrap();
                 for (lat, lon, h) in points() {
                     let p = frame.forward(lat, lon, h);

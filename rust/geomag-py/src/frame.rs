@@ -84,7 +84,9 @@ impl PyLocalFrame {
                     broadcast(["latitude_deg", "longitude_deg"], [latitude_deg, longitude_deg])?;
                 let n = latitude.len().max(vectors.len());
                 if places != shape && latitude.len() != 1 && vectors.len() != 1 {
-                    return Err(Error::shape("vector", format!("{places:?} + (3,)"), format!("{shape:?} + (3,)")).into());
+                    return Err(
+                        Error::shape("vector", format!("{places:?} + (3,)"), format!("{shape:?} + (3,)")).into()
+                    );
                 }
                 let pick = |len: usize, i: usize| if len == 1 { 0 } else { i };
                 let turned = py.detach(|| {

@@ -186,7 +186,11 @@ fn flat(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
 }
 
 /// One value or several to choose from.
-fn choices<T: for<'a, 'py> FromPyObject<'a, 'py>>(what: &str, needed: &str, object: &Bound<'_, PyAny>) -> PyRes<Vec<T>> {
+fn choices<T: for<'a, 'py> FromPyObject<'a, 'py>>(
+    what: &str,
+    needed: &str,
+    object: &Bound<'_, PyAny>,
+) -> PyRes<Vec<T>> {
     if let Ok(one) = object.extract::<T>() {
         return Ok(vec![one]);
     }
@@ -196,7 +200,10 @@ fn choices<T: for<'a, 'py> FromPyObject<'a, 'py>>(what: &str, needed: &str, obje
     let mut out = Vec::new();
     for item in items {
         let item = item?;
-        out.push(item.extract().map_err(|_| invalid(what, needed, item.repr().map_or_else(|e| e.to_string(), |r| r.to_string())))?);
+        out.push(
+            item.extract()
+                .map_err(|_| invalid(what, needed, item.repr().map_or_else(|e| e.to_string(), |r| r.to_string())))?,
+        );
     }
     if out.is_empty() { Err(invalid(what, needed, "an empty sequence")) } else { Ok(out) }
 }
@@ -338,7 +345,9 @@ fn keywords<'py>(py: Python<'py>, given: Option<&Bound<'py, PyDict>>) -> PyRes<K
         for (key, value) in given {
             let name: String = key.extract()?;
             if all.get_item(&name)?.is_none() {
-                return Err(pyo3::exceptions::PyTypeError::new_err(format!("unexpected keyword argument '{name}'")).into());
+                return Err(
+                    pyo3::exceptions::PyTypeError::new_err(format!("unexpected keyword argument '{name}'")).into()
+                );
             }
             all.set_item(name, value)?;
         }

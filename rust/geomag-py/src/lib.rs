@@ -11,6 +11,8 @@ use geomag_core::state;
 use pyo3::prelude::*;
 
 mod arrays;
+mod campaign;
+mod contour;
 mod error;
 mod fix;
 mod frame;
@@ -18,30 +20,42 @@ mod grid;
 mod grid_search;
 mod harmonic;
 mod iema;
+mod ins_feedback;
 mod kalman;
 mod long_call;
 mod navigator;
+mod sequence;
 mod synthetic;
 mod track;
 
 #[pymodule(gil_used = false)]
 mod _geomag {
     #[pymodule_export]
+    use crate::campaign::{campaign_flight, campaign_rows};
+    #[pymodule_export]
+    use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
+    #[pymodule_export]
     use crate::fix::PyFix;
     #[pymodule_export]
     use crate::frame::PyLocalFrame;
-    #[pymodule_export]
-    use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
-    #[pymodule_export]
-    use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
-    #[pymodule_export]
-    use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
     #[pymodule_export]
     use crate::grid::PyGridMap;
     #[pymodule_export]
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
+    use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
+    #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
+    #[pymodule_export]
+    use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
+    #[pymodule_export]
+    use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
+    #[pymodule_export]
+    use crate::sequence::{
+        PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
+    };
     #[pymodule_export]
     use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]

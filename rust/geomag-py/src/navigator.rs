@@ -131,14 +131,8 @@ impl PyFieldSensor {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let t = slf.get();
         let py = slf.py();
-        let arguments = (
-            t.source.clone_ref(py),
-            t.reading.as_str(),
-            t.main_field,
-            t.down_m,
-            t.height_m,
-            t.interpolation.as_str(),
-        );
+        let arguments =
+            (t.source.clone_ref(py), t.reading.as_str(), t.main_field, t.down_m, t.height_m, t.interpolation.as_str());
         Ok((slf.get_type().getattr("_restore")?, arguments.into_pyobject(py)?))
     }
 

@@ -22,10 +22,13 @@ pub fn settings<T: DeserializeOwned>(what: &str, json: &str) -> PyRes<T> {
     serde_json::from_str(json).map_err(|e| invalid(what, "settings of that kind", e))
 }
 
-/// A made-up field that is known at every point.
+/// A made-up field that is known at every point: made by `geomag.synthetic.Crust.draw`.
+///
+/// Unlike a map it has no interpolation error, so a map of it (`grid`) has a true one.
 #[pyclass(frozen, name = "SyntheticField", module = "geomag.synthetic")]
 pub struct PySyntheticField {
-    inner: SyntheticField,
+    /// The field.
+    pub inner: SyntheticField,
 }
 
 #[pymethods]
@@ -36,16 +39,19 @@ impl PySyntheticField {
         Ok(Self { inner: settings::<CrustSpec>("crust", spec_json)?.draw(extent, geographic, seed)? })
     }
 
+    /// (x least, y least, x greatest, y greatest), map units.
     #[getter]
     fn extent(&self) -> [f64; 4] {
         self.inner.extent()
     }
 
+    /// Whether coordinates are degrees of longitude and latitude.
     #[getter]
     fn geographic(&self) -> bool {
         self.inner.geographic()
     }
 
+    /// Field at points (arrays broadcast against each other), value units; NaN outside the extent.
     #[pyo3(signature = (x, y))]
     fn sample<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
@@ -53,6 +59,7 @@ impl PySyntheticField {
         shaped(py, values, &shape)
     }
 
+    /// A `GridMap` of the field: exact at its nodes, every `step` map units over the extent or on the axes given.
     #[pyo3(signature = (step = None, *, x = None, y = None, name = None, units = None, crs = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn grid(
@@ -108,7 +115,16 @@ impl PySyntheticField {
     }
 }
 
-/// A true path.
+/// A true path: positions (map units) and times (seconds), oldest first.
+///
+/// From points, or made by `Path.straight` and `Path.along_legs`.
+///
+/// Examples
+/// --------
+/// >>> from geomag.synthetic import Path
+/// >>> path = Path.straight((0, 0), course_deg=90, speed_m_s=50, interval_s=2, samples=11)
+/// >>> float(path.x[-1]), len(path)
+/// (1000.0, 11)
 #[pyclass(frozen, name = "Path", module = "geomag.synthetic")]
 pub struct PyPath {
     /// The points.
@@ -124,6 +140,9 @@ impl PyPath {
         Ok(Self { inner: Path::from_points(x, y, time_s, geographic)? })
     }
 
+    /// A straight path (a rhumb line on geographic coordinates) of `samples` points, the first at `start`.
+    ///
+    /// Course in degrees clockwise from north, speed in metres a second, `interval_s` seconds between samples.
     #[staticmethod]
     #[pyo3(signature = (start, *, course_deg, speed_m_s, interval_s, samples, geographic = false))]
     fn straight(
@@ -137,6 +156,7 @@ impl PyPath {
         Ok(Self { inner: Path::straight(start, course_deg, speed_m_s, interval_s, samples, geographic)? })
     }
 
+    /// A path of legs: each a pair of samples added and rate of turn in degrees a second, clockwise.
     #[staticmethod]
     #[pyo3(signature = (start, legs, *, course_deg, speed_m_s, interval_s, geographic = false))]
     fn along_legs(
@@ -151,16 +171,19 @@ impl PyPath {
         Ok(Self { inner: Path::along_legs(start, course_deg, speed_m_s, interval_s, &legs, geographic)? })
     }
 
+    /// True x (east), map units.
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.x().to_vec(), &[self.inner.len()])
     }
 
+    /// True y (north), map units.
     #[getter]
     fn y<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.y().to_vec(), &[self.inner.len()])
     }
 
+    /// Times, seconds.
     #[getter]
     fn time_s<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.time_s().to_vec(), &[self.inner.len()])
@@ -171,7 +194,7 @@ impl PyPath {
         self.inner.geographic()
     }
 
-    /// True minus indicated position of the newest sample, metres.
+    /// True minus indicated position of the newest sample, metres (east, north).
     fn offset_m(&self, track: &PyTrack) -> (f64, f64) {
         displacement_m(self.inner.geographic(), track.inner.newest(), self.inner.newest()).into()
     }

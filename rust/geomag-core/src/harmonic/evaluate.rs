@@ -261,12 +261,7 @@ impl RectangularHarmonicModel {
         Ok(flat.chunks_exact(3).map(|s| [s[0], s[1], s[2]]).collect())
     }
 
-    fn row_sigma(
-        &self,
-        positions: &Positions<'_>,
-        rows: &[(usize, [f64; 3])],
-        extrapolate: bool,
-    ) -> Result<Vec<f64>> {
+    fn row_sigma(&self, positions: &Positions<'_>, rows: &[(usize, [f64; 3])], extrapolate: bool) -> Result<Vec<f64>> {
         const ROWS: usize = 96;
         let Some(covariance) = self.covariance.as_ref() else {
             return Err(Error::invalid(

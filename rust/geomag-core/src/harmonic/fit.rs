@@ -231,12 +231,8 @@ impl Prepared {
     }
 
     fn field_at_points(&self, observations: &Observations, coefficients: &[f64]) -> Result<Vec<[f64; 3]>> {
-        let model = RectangularHarmonicModel::new(
-            self.basis.order(),
-            self.periods_m,
-            coefficients.to_vec(),
-            self.region,
-        )?;
+        let model =
+            RectangularHarmonicModel::new(self.basis.order(), self.periods_m, coefficients.to_vec(), self.region)?;
         let axis = |i: usize| observations.points.iter().map(|p| p[i]).collect::<Vec<_>>();
         let (north, east, down) = (axis(0), axis(1), axis(2));
         Ok(model.field(&Positions::new(&north, &east, &down)?, true))

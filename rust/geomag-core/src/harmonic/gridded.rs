@@ -23,20 +23,16 @@ impl RectangularHarmonicModel {
     ///
     /// # Errors
     /// [`Error::NotFinite`]; [`Error::Invalid`] for more than 2^28 nodes.
-    pub fn field_grid(
-        &self,
-        north_m: &[f64],
-        east_m: &[f64],
-        down_m: f64,
-        extrapolate: bool,
-    ) -> Result<Vec<[f64; 3]>> {
+    pub fn field_grid(&self, north_m: &[f64], east_m: &[f64], down_m: f64, extrapolate: bool) -> Result<Vec<[f64; 3]>> {
         require_finite("north_m", north_m)?;
         require_finite("east_m", east_m)?;
         require_finite("down_m", &[down_m])?;
         let (rows, columns) = (north_m.len(), east_m.len());
         match rows.checked_mul(columns) {
             Some(nodes) if nodes <= MAX_NODES => {}
-            _ => return Err(Error::invalid("grid", format!("at most {MAX_NODES} nodes"), format!("{rows} x {columns}"))),
+            _ => {
+                return Err(Error::invalid("grid", format!("at most {MAX_NODES} nodes"), format!("{rows} x {columns}")));
+            }
         }
         let [v, w] = self.packed.wave;
         if rows == 0 || columns == 0 || down_m * v.hypot(w) * self.order() as f64 > 700.0 {
@@ -48,9 +44,10 @@ impl RectangularHarmonicModel {
         let tiles = along_east(&self.packed, east_m, down_m);
         let x = along_north(&self.packed, north_m);
         let width = columns * 3;
-        out.as_flattened_mut().par_chunks_mut(width * ROWS * 8).zip(x.par_chunks(inner * ROWS * 8)).for_each(
-            |(out, x)| pulp::Arch::new().dispatch(Product { x, tiles: &tiles, inner, width, out }),
-        );
+        out.as_flattened_mut()
+            .par_chunks_mut(width * ROWS * 8)
+            .zip(x.par_chunks(inner * ROWS * 8))
+            .for_each(|(out, x)| pulp::Arch::new().dispatch(Product { x, tiles: &tiles, inner, width, out }));
         if !extrapolate {
             self.blank_outside(north_m, east_m, down_m, &mut out);
         }

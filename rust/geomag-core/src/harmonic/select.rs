@@ -101,10 +101,10 @@ pub fn select(
     };
     let mut candidates = Vec::new();
     for (k, &period_ratio) in choice.period_ratios.iter().enumerate() {
-        let prepared = Prepared::new(observations, &FitOptions { period: Period::Ratio(period_ratio), ..base.clone() })?;
-        let share = |part: usize| {
-            (k as f64 + part as f64 / (choice.folds + 1) as f64) / choice.period_ratios.len() as f64
-        };
+        let prepared =
+            Prepared::new(observations, &FitOptions { period: Period::Ratio(period_ratio), ..base.clone() })?;
+        let share =
+            |part: usize| (k as f64 + part as f64 / (choice.folds + 1) as f64) / choice.period_ratios.len() as f64;
         let step = |part: usize| Progress::whole(monitor).part(share(part), share(part + 1));
         let normals = parts
             .iter()
@@ -163,11 +163,7 @@ fn deal(points: usize, choice: &SelectionOptions) -> Result<Vec<usize>> {
 }
 
 /// The equations about a fit to everything, where they depend on one.
-fn reference_rows(
-    observations: &Observations,
-    base: &FitOptions,
-    monitor: &dyn Monitor,
-) -> Result<Vec<LinearRow>> {
+fn reference_rows(observations: &Observations, base: &FitOptions, monitor: &dyn Monitor) -> Result<Vec<LinearRow>> {
     let curved = observations.rows.iter().any(|r| matches!(r.sensed, Sensed::Intensity(_)));
     if !curved && base.huber.is_none() {
         let none = vec![[0.0; 3]; observations.point_count()];
@@ -179,9 +175,7 @@ fn reference_rows(
     let field = model.field(&Positions::new(&north, &east, &down)?, true);
     let robust = match base.huber {
         None => vec![1.0; observations.len()],
-        Some(bound) => {
-            huber_weights(observations, &residuals(observations, &field), bound)
-        }
+        Some(bound) => huber_weights(observations, &residuals(observations, &field), bound),
     };
     Ok(linear_rows(observations, &field, &robust))
 }

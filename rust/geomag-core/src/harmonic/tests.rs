@@ -179,8 +179,7 @@ fn mixtures_with_holes_weights_and_intensities_come_back() {
     let intensity: Vec<f64> = model.intensity(&positions, main[0], true);
     observations.intensity(&positions, &intensity, &main, &[0.5]).unwrap();
     let length = (main[0].iter().map(|c| c * c).sum::<f64>()).sqrt();
-    let anomaly: Vec<f64> =
-        field.iter().map(|f| (0..3).map(|i| f[i] * main[0][i]).sum::<f64>() / length).collect();
+    let anomaly: Vec<f64> = field.iter().map(|f| (0..3).map(|i| f[i] * main[0][i]).sum::<f64>() / length).collect();
     observations.anomaly(&positions, &anomaly, &main, &[]).unwrap();
     let fitted = fit(&observations, &same_periods(&model), &Quiet).unwrap();
     let summary = fitted.summary().unwrap();

@@ -143,7 +143,12 @@ impl Estimate {
     /// `joint` holds columns whose outer products add up to the joint covariance of measurement (first rows) and state.
     /// An orthogonal transformation makes it `[[Sy, 0], [K Sy, L]]`: `Sy` is the factor of the innovation covariance and
     /// `L` that of the corrected covariance, `P - K S K'` without a subtraction.
-    pub(super) fn correct(&mut self, residual: DVector<f64>, joint: DMatrix<f64>, gate: Option<f64>) -> Result<Innovation> {
+    pub(super) fn correct(
+        &mut self,
+        residual: DVector<f64>,
+        joint: DMatrix<f64>,
+        gate: Option<f64>,
+    ) -> Result<Innovation> {
         let (m, n) = (residual.len(), self.len());
         require_finite("innovation", residual.as_slice())?;
         let lower = triangular(&joint);

@@ -92,7 +92,11 @@ impl ExtendedKalmanFilter {
     ) -> Result<&Innovation> {
         let (n, m) = (self.estimate.len(), z.len());
         if m == 0 || expected.len() != m {
-            return Err(Error::shape("expected measurement", format!("({},)", m.max(1)), format!("({},)", expected.len())));
+            return Err(Error::shape(
+                "expected measurement",
+                format!("({},)", m.max(1)),
+                format!("({},)", expected.len()),
+            ));
         }
         require_finite("measurement z", z)?;
         let jacobian = rectangle("Jacobian of the measurement", m, n, jacobian)?;

@@ -5,6 +5,7 @@
 //! 1971; Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, sect. 3.2.8).
 
 mod consistency;
+pub mod error_state;
 mod estimate;
 mod extended;
 mod unscented;

@@ -285,7 +285,8 @@ impl GridSearch {
             (Criterion::Msd, _, _) => 0.5 * n * ratio(least * least),
             (Criterion::Mad, _, _) => n * ratio(least),
             (Criterion::Ncc, _, _) => {
-                let unexplained = |score: f64| 1.0 - score * score.abs() + 1e-12;
+                // Inner scores are negated correlations.
+                let unexplained = |score: f64| 1.0 + score * score.abs() + 1e-12;
                 0.5 * n * (unexplained(runner_up) / unexplained(best)).ln()
             }
         };

@@ -450,8 +450,7 @@ impl FieldNavigator {
         self.predict(dt_s, speed_m_s, course_deg)?;
         self.state.time_s += dt_s;
         self.state.steps += 1;
-        let kept: Vec<usize> =
-            reading.map_or_else(Vec::new, |r| (0..numbers).filter(|&k| !r[k].is_nan()).collect());
+        let kept: Vec<usize> = reading.map_or_else(Vec::new, |r| (0..numbers).filter(|&k| !r[k].is_nan()).collect());
         let (outcome, nis) = match reading {
             Some(reading) if !kept.is_empty() => self.update(reading, &kept)?,
             _ => (Outcome::Predicted, None),
@@ -492,13 +491,7 @@ impl FieldNavigator {
     ///
     /// # Errors
     /// As [`FieldNavigator::step`].
-    pub fn bound(
-        &self,
-        path: &[[f64; 2]],
-        dt_s: f64,
-        speed_m_s: f64,
-        course_deg: f64,
-    ) -> Result<Vec<[[f64; 2]; 2]>> {
+    pub fn bound(&self, path: &[[f64; 2]], dt_s: f64, speed_m_s: f64, course_deg: f64) -> Result<Vec<[[f64; 2]; 2]>> {
         require_not_negative("dt_s", dt_s)?;
         require_finite("speed_m_s, course_deg", &[speed_m_s, course_deg])?;
         let n = self.state.layout.len;
@@ -554,9 +547,7 @@ impl FieldNavigator {
         };
         let jacobian = match self.state.options.method {
             Method::Unscented => Vec::new(),
-            Method::Extended => {
-                self.motion_jacobian(self.state.filter.estimate().mean(), dt_s, speed_m_s, course_deg)
-            }
+            Method::Extended => self.motion_jacobian(self.state.filter.estimate().mean(), dt_s, speed_m_s, course_deg),
         };
         match &mut self.state.filter {
             Filter::Unscented(filter) => filter.predict_with(
@@ -617,10 +608,8 @@ impl FieldNavigator {
                     return Ok((Outcome::OffField, None));
                 }
                 let mean = filter.estimate().mean();
-                let values: Vec<f64> = kept
-                    .iter()
-                    .map(|&k| expected[k].0 + layout.bias.map_or(0.0, |first| mean[first + k]))
-                    .collect();
+                let values: Vec<f64> =
+                    kept.iter().map(|&k| expected[k].0 + layout.bias.map_or(0.0, |first| mean[first + k])).collect();
                 let h = jacobian_of_readings(layout, &expected, kept);
                 filter.update(&z, &values, &h, (&noise * noise.transpose()).as_slice(), gate).map_err(OffField::from)
             }

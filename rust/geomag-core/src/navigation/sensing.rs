@@ -228,9 +228,8 @@ impl Sensing {
         let (x, y) = match level {
             Level::Down(_) => (region.east_m, region.north_m),
             Level::Height(frame, _) => {
-                let corner = |i: usize, j: usize| {
-                    frame.inverse([region.north_m[i], region.east_m[j], region.down_m[1]])
-                };
+                let corner =
+                    |i: usize, j: usize| frame.inverse([region.north_m[i], region.east_m[j], region.down_m[1]]);
                 let corners = [corner(0, 0), corner(0, 1), corner(1, 0), corner(1, 1)];
                 let range = |k: usize| {
                     corners.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], c| [a.min(c[k]), b.max(c[k])])

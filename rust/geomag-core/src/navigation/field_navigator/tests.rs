@@ -212,7 +212,11 @@ fn outages_gates_and_edges_are_told_apart() {
 #[test]
 fn divergence_shows_in_the_innovations() {
     let sensing = Sensing::at_down(model(3.0, 19), Sensor::Vector, 0.0).unwrap();
-    let lost = NavigatorOptions { covariance_m2: [[0.01, 0.0], [0.0, 0.01]], position_noise_m2_s: 1e-6, ..options([300.0, -200.0], 1.0) };
+    let lost = NavigatorOptions {
+        covariance_m2: [[0.01, 0.0], [0.0, 0.01]],
+        position_noise_m2_s: 1e-6,
+        ..options([300.0, -200.0], 1.0)
+    };
     let mut navigator = FieldNavigator::new(sensing.clone(), lost).unwrap();
     let mut diverged = false;
     for k in 1..=30 {
