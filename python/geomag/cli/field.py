@@ -111,6 +111,9 @@ def fit(
     order: Annotated[str, typer.Option(help="Order; several (8,12,16) are compared by cross-validation.")] = "12",
     period_ratio: Annotated[str, typer.Option(help="Periods over the extent; several are compared.")] = "1.5",
     ridge: Annotated[str, typer.Option(help="Ridge for columns of unit norm; several are compared.")] = "1e-9",
+    damping: Annotated[
+        float, typer.Option(help="Damp short waves as if they came from so many metres below; line spacing for surveys.")
+    ] = 0.0,
     huber: Annotated[float | None, typer.Option(help="Huber's bound in standard deviations, e.g. 1.345.")] = None,
     group: Annotated[str | None, typer.Option(help="Column whose equal values are left out together.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Take every n-th observation.")] = 1,
@@ -159,6 +162,7 @@ def fit(
         order=_several(order, int, "--order"),
         period_ratio=_several(period_ratio, float, "--period-ratio"),
         ridge=_several(ridge, float, "--ridge"),
+        damping_m=damping,
         huber=huber,
         groups=columns["group"][known] if group is not None else None,
         covariance=not no_covariance,
