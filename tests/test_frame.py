@@ -2,9 +2,10 @@
 
 import pickle
 
-import geomag
 import numpy as np
 import pytest
+
+import geomag
 
 ORIGINS = [(33.0, 118.0, 0.0), (-22.0, 140.7, 300.0), (89.0, -20.0, 10.0), (0.0, 179.9, -50.0)]
 

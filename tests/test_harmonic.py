@@ -4,9 +4,10 @@ import gzip
 import pickle
 import time
 
-import geomag
 import numpy as np
 import pytest
+
+import geomag
 
 MAIN = np.array([31000.0, -3000.0, 37000.0])
 EAST_CHINA = "emm2017-crustal/emm2017_east_china_116_120E_31_35N_h{}.nc"
@@ -33,8 +34,16 @@ def term_by_term(model, north, east, down):
         tv, rw = t * v, r * w
         u = np.hypot(tv, rw)
         level = value * np.exp(u * down)
-        x, dx = (np.sin(tv * north), tv * np.cos(tv * north)) if along_x == "sin" else (np.cos(tv * north), -tv * np.sin(tv * north))
-        y, dy = (np.sin(rw * east), rw * np.cos(rw * east)) if along_y == "sin" else (np.cos(rw * east), -rw * np.sin(rw * east))
+        x, dx = (
+            (np.sin(tv * north), tv * np.cos(tv * north))
+            if along_x == "sin"
+            else (np.cos(tv * north), -tv * np.sin(tv * north))
+        )
+        y, dy = (
+            (np.sin(rw * east), rw * np.cos(rw * east))
+            if along_y == "sin"
+            else (np.cos(rw * east), -rw * np.sin(rw * east))
+        )
         field -= np.stack([dx * y * level, x * dy * level, u * x * y * level], axis=-1)
     return field
 
@@ -213,7 +222,9 @@ def test_stands_where_a_matcher_takes_a_map():
 def test_continues_upwards_on_geographic_grids():
     frame = geomag.LocalFrame(33.0, 118.0)
     flat = random_model(order=6)
-    text = flat.to_json().replace('"frame":null', '"frame":{"latitude_deg":33.0,"longitude_deg":118.0,"height_m":0.0,"earth":"wgs84"}')
+    text = flat.to_json().replace(
+        '"frame":null', '"frame":{"latitude_deg":33.0,"longitude_deg":118.0,"height_m":0.0,"earth":"wgs84"}'
+    )
     model = geomag.RectangularHarmonicModel.from_json(text)
     lon, lat = np.linspace(117.8, 118.2, 9), np.linspace(32.8, 33.2, 7)
     for name, k in (("north", 0), ("east", 1), ("down", 2)):

@@ -2,9 +2,10 @@
 
 import pickle
 
-import geomag
 import numpy as np
 import pytest
+
+import geomag
 
 
 def spd(rng, n, floor=0.1):
@@ -27,7 +28,7 @@ def test_equals_filterpy_over_1000_random_steps(alpha, beta, kappa):
     rng = np.random.default_rng(1)
     n, m = 3, 2
     points = filterpy.MerweScaledSigmaPoints(n, alpha=alpha, beta=beta, kappa=kappa)
-    theirs = filterpy.UnscentedKalmanFilter(n, m, 1.0, lambda x: bent_sight(x), lambda x, _dt: bent_motion(x), points)
+    theirs = filterpy.UnscentedKalmanFilter(n, m, 1.0, bent_sight, lambda x, _dt: bent_motion(x), points)
     x, p = rng.normal(size=n), spd(rng, n)
     theirs.x, theirs.P = x.copy(), p.copy()
     ours = geomag.UnscentedKalmanFilter(x, p, alpha=alpha, beta=beta, kappa=kappa)
@@ -45,7 +46,9 @@ def test_equals_filterpy_over_1000_random_steps(alpha, beta, kappa):
         ours.predict(bent_motion, q)
         ours.update(z, bent_sight, r)
         size = max(1.0, np.abs(theirs.x).max())
-        worst = max(worst, np.abs(ours.x - theirs.x).max() / size, np.abs(ours.P - theirs.P).max() / np.abs(theirs.P).max())
+        worst = max(
+            worst, np.abs(ours.x - theirs.x).max() / size, np.abs(ours.P - theirs.P).max() / np.abs(theirs.P).max()
+        )
     assert worst < 1e-9
 
 

@@ -3,9 +3,10 @@
 import pickle
 import time
 
-import geomag
 import numpy as np
 import pytest
+
+import geomag
 from geomag.reproduce import e7
 
 

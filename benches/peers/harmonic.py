@@ -99,7 +99,10 @@ def navigation(smoke):
             ukf.update(z)
         return time.perf_counter() - start, ukf.x
 
-    fast, slow = min((ours() for _ in range(10)), key=lambda r: r[0]), min((theirs() for _ in range(2)), key=lambda r: r[0])
+    fast, slow = (
+        min((ours() for _ in range(10)), key=lambda r: r[0]),
+        min((theirs() for _ in range(2)), key=lambda r: r[0]),
+    )
     np.testing.assert_allclose(fast[1], slow[1], atol=1e-6)
     return steps, fast[0], slow[0]
 

@@ -83,7 +83,9 @@ def read_columns(path: Path, names: Mapping[str, str], height: str) -> dict[str,
     out = {}
     for key, name in names.items():
         if name not in frame:
-            raise UnknownVariableError(f"{path.name}: needed a column '{name}' for {key}, got {', '.join(frame.columns)}")
+            raise UnknownVariableError(
+                f"{path.name}: needed a column '{name}' for {key}, got {', '.join(frame.columns)}"
+            )
         out[key] = frame[name].to_numpy()
     if height in frame:
         out["height"] = frame[height].to_numpy(dtype=float)
@@ -112,7 +114,8 @@ def fit(
     period_ratio: Annotated[str, typer.Option(help="Periods over the extent; several are compared.")] = "1.5",
     ridge: Annotated[str, typer.Option(help="Ridge for columns of unit norm; several are compared.")] = "1e-9",
     damping: Annotated[
-        float, typer.Option(help="Damp short waves as if they came from so many metres below; line spacing for surveys.")
+        float,
+        typer.Option(help="Damp short waves as if they came from so many metres below; line spacing for surveys."),
     ] = 0.0,
     huber: Annotated[float | None, typer.Option(help="Huber's bound in standard deviations, e.g. 1.345.")] = None,
     group: Annotated[str | None, typer.Option(help="Column whose equal values are left out together.")] = None,

@@ -157,7 +157,10 @@ def _papers_run(context: Context) -> tuple[list[tuple[object, ...]], list]:
             names=("north", "east"),
             title=f"3 nT/m, {label}",
         )
-        pictures += [context.save(figure, f"e7_errors_{name}"), context.save(_track_figure(model, run, label), f"e7_track_{name}")]
+        pictures += [
+            context.save(figure, f"e7_errors_{name}"),
+            context.save(_track_figure(model, run, label), f"e7_track_{name}"),
+        ]
     return rows, pictures
 
 
@@ -226,7 +229,9 @@ def run(context: Context) -> Report:
             "seed": context.seed,
         },
         [
-            Table("The paper's start, P0 and R on a field of 3 nT/m", ("", "rms, m", "maximum, m", "published"), papers),
+            Table(
+                "The paper's start, P0 and R on a field of 3 nT/m", ("", "rms, m", "maximum, m", "published"), papers
+            ),
             Table("Q = 10 (m^2 a step) in ship and filter, as in the paper", columns, paper),
             Table("Q = 0.01 in ship and filter", columns, sane),
             Table("Q = 10 in the filter, a ship that keeps its course", columns, calm),

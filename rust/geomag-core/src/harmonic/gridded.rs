@@ -31,7 +31,11 @@ impl RectangularHarmonicModel {
         match rows.checked_mul(columns) {
             Some(nodes) if nodes <= MAX_NODES => {}
             _ => {
-                return Err(Error::invalid("grid", format!("at most {MAX_NODES} nodes"), format!("{rows} x {columns}")));
+                return Err(Error::invalid(
+                    "grid",
+                    format!("at most {MAX_NODES} nodes"),
+                    format!("{rows} x {columns}"),
+                ));
             }
         }
         let [v, w] = self.packed.wave;

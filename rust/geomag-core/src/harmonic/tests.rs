@@ -389,7 +389,8 @@ fn damping_keeps_what_lies_between_lines() {
     let down = vec![0.0; north.len()];
     let positions = Positions::new(&north, &east, &down).unwrap();
     let main = [[20e3, 1e3, 40e3]];
-    let values: Vec<f64> = truth.field(&positions, true).iter().map(|f| (20.0 * f[0] + f[1] + 40.0 * f[2]) / 44.732_538).collect();
+    let values: Vec<f64> =
+        truth.field(&positions, true).iter().map(|f| (20.0 * f[0] + f[1] + 40.0 * f[2]) / 44.732_538).collect();
     let mut observations = Observations::new();
     observations.anomaly(&positions, &values, &main, &[]).unwrap();
     let between: Vec<f64> = north.iter().map(|n| n + 2e3).collect();
