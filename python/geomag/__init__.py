@@ -38,6 +38,8 @@ from geomag._geomag import (
     GridMap,
     Track,
     __version__,
+    match_posterior,
+    match_posterior_many,
 )
 
 __all__ = [
@@ -59,4 +61,6 @@ __all__ = [
     "Track",
     "UnknownVariableError",
     "__version__",
+    "match_posterior",
+    "match_posterior_many",
 ]

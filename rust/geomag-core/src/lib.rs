@@ -15,6 +15,8 @@ pub mod field;
 pub mod fix;
 pub mod frame;
 pub mod grid;
+pub mod map_error;
+pub mod matching;
 pub mod monitor;
 pub mod state;
 pub mod track;

@@ -13,6 +13,7 @@ mod error;
 mod fix;
 mod grid;
 mod long_call;
+mod posterior;
 mod track;
 
 #[pymodule(gil_used = false)]
@@ -21,6 +22,8 @@ mod _geomag {
     use crate::fix::PyFix;
     #[pymodule_export]
     use crate::grid::PyGridMap;
+    #[pymodule_export]
+    use crate::posterior::{match_posterior, match_posterior_many};
     #[pymodule_export]
     use crate::track::PyTrack;
 
