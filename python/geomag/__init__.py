@@ -36,10 +36,13 @@ from geomag._errors import (
 from geomag._geomag import (
     Fix,
     GridMap,
+    Iema,
+    IemaStep,
     Track,
     __version__,
     match_posterior,
     match_posterior_many,
+    match_grid,
 )
 
 __all__ = [
@@ -47,6 +50,8 @@ __all__ = [
     "Fix",
     "GeomagError",
     "GridMap",
+    "Iema",
+    "IemaStep",
     "InvalidInputError",
     "MissingDependencyError",
     "MissingFileError",
@@ -63,4 +68,5 @@ __all__ = [
     "__version__",
     "match_posterior",
     "match_posterior_many",
+    "match_grid",
 ]

@@ -143,7 +143,7 @@ impl PyGridMap {
             GridValues::F64(v) => shaped(py, v.clone(), &shape),
             GridValues::F32(v) => {
                 let array = numpy::PyArray1::from_slice(py, v);
-                Ok(array.reshape(shape).map_err(PyErr::from)?.into_any())
+                Ok(array.reshape(shape)?.into_any())
             }
         }
     }
@@ -312,7 +312,8 @@ impl PyGridMap {
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
         let model = this.error_model(py)?;
-        let arguments = (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model).into_pyobject(py)?;
+        let arguments =
+            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 

@@ -4,6 +4,8 @@
 #![allow(clippy::needless_pass_by_value)]
 // Signatures of Python methods are documented in the stub, where Python users look.
 #![allow(missing_docs)]
+// Docstrings are Python's: numpydoc, not Markdown.
+#![allow(clippy::doc_markdown)]
 
 use geomag_core::state;
 use pyo3::prelude::*;
@@ -12,6 +14,8 @@ mod arrays;
 mod error;
 mod fix;
 mod grid;
+mod grid_search;
+mod iema;
 mod long_call;
 mod posterior;
 mod track;
@@ -23,6 +27,10 @@ mod _geomag {
     #[pymodule_export]
     use crate::grid::PyGridMap;
     #[pymodule_export]
+    use crate::grid_search::py_match_grid;
+    #[pymodule_export]
+    use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
     use crate::posterior::{match_posterior, match_posterior_many};
     #[pymodule_export]
     use crate::track::PyTrack;
@@ -31,6 +39,7 @@ mod _geomag {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("instruction_set", geomag_core::lattice::instruction_set())?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

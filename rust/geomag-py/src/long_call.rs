@@ -30,10 +30,13 @@ impl Monitor for Shared {
 /// Runs `work` without the interpreter. Where it is long (`units`, about a nanosecond each) or `progress` is wanted,
 /// signals are checked and progress is reported about ten times a second.
 ///
+/// `threads` limits the threads of the computation; all cores where it is None.
+///
 /// `progress` is None or False, True (a bar on standard error), or a callable `(done, total)`.
 pub fn run<T: Send>(
     py: Python<'_>,
     units: u64,
+    threads: Option<usize>,
     progress: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(&dyn Monitor) -> CoreResult<T> + Send,
 ) -> PyRes<T> {
@@ -46,6 +49,20 @@ pub fn run<T: Send>(
             Ok(true) => Some(py.import("geomag._progress")?.getattr("bar")?.call0()?),
             Err(_) => return Err(invalid("progress", "True, False or a callable (done, total)", p.repr()?)),
         },
+    };
+    let pool = match threads {
+        None => None,
+        Some(0) => return Err(invalid("threads", "at least 1", 0)),
+        Some(n) => Some(
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(n)
+                .build()
+                .map_err(|e| invalid("threads", "a number of threads that the system grants", e))?,
+        ),
+    };
+    let work = move |monitor: &dyn Monitor| match &pool {
+        Some(pool) => pool.install(|| work(monitor)),
+        None => work(monitor),
     };
     if report.is_none() && units < SHORT {
         return Ok(py.detach(|| work(&Quiet))?);

@@ -94,8 +94,20 @@ pub fn match_posterior(
 ) -> PyRes<PyFix> {
     let map = field(grid)?;
     let options = options(
-        half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
-        position_sigma_m, nu, min_overlap, min_goodness, max_candidates, surface,
+        half_width,
+        step,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        position_sigma_m,
+        nu,
+        min_overlap,
+        min_goodness,
+        max_candidates,
+        surface,
     )?;
     let more = extras(more)?;
     let track = &track.get().inner;
@@ -134,8 +146,20 @@ pub fn match_posterior_many(
 ) -> PyRes<Vec<PyFix>> {
     let map = field(grid)?;
     let options = options(
-        half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
-        position_sigma_m, nu, min_overlap, min_goodness, max_candidates, false,
+        half_width,
+        step,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        position_sigma_m,
+        nu,
+        min_overlap,
+        min_goodness,
+        max_candidates,
+        false,
     )?;
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
     let units = tracks.len() as u64 * 4_000_000;

@@ -45,8 +45,8 @@ pub(super) fn within(d: f64, sigma: f64, radius: f64) -> f64 {
 /// Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26), for arguments >= 0.
 fn error_function(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
-    let poly = t
-        * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let poly =
+        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
     1.0 - poly * (-x * x).exp()
 }
 
@@ -170,18 +170,11 @@ fn status(
     // A second place, not the flank of the first: the mass around the best point away from the answer.
     let rival = posterior.log_p.iter().position(|lp| *lp == runner_up && lp.is_finite());
     if let Some(rival) = rival {
-        let far = |a: [f64; 2], b: [f64; 2]| {
-            ((a[0] - b[0]) * scale[0]).hypot((a[1] - b[1]) * scale[1]) > problem.tolerance_m
-        };
+        let far =
+            |a: [f64; 2], b: [f64; 2]| ((a[0] - b[0]) * scale[0]).hypot((a[1] - b[1]) * scale[1]) > problem.tolerance_m;
         let there = posterior.offsets[rival];
         let distance = ((there[0] - offset[0]) * scale[0]).hypot((there[1] - offset[1]) * scale[1]);
-        let mass: f64 = posterior
-            .offsets
-            .iter()
-            .zip(p)
-            .filter(|(o, _)| !far(**o, there))
-            .map(|(_, p)| *p)
-            .sum();
+        let mass: f64 = posterior.offsets.iter().zip(p).filter(|(o, _)| !far(**o, there)).map(|(_, p)| *p).sum();
         if distance > 2.0 * problem.tolerance_m && mass > 0.5 * risk {
             return Status::Ambiguous;
         }

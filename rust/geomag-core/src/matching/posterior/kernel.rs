@@ -158,8 +158,7 @@ fn evaluate(setup: &Setup<'_>, scratch: &mut Scratch) -> Scores {
         }
         for l in 0..LANES {
             // A candidate that misses a few samples is judged by those that it has, as if there were all.
-            lane[l] =
-                if count[l] >= needed { lane[l] * (n as f64 / count[l].max(1.0)) } else { f64::NEG_INFINITY };
+            lane[l] = if count[l] >= needed { lane[l] * (n as f64 / count[l].max(1.0)) } else { f64::NEG_INFINITY };
         }
         out.push(lane);
     }

@@ -159,8 +159,9 @@ impl Noise {
         };
         // Without a word about the sensor a hundredth of the signal is taken: less cannot be told from a perfect map.
         let mean = channel.values.iter().sum::<f64>() / channel.values.len().max(1) as f64;
-        let spread_of_values =
-            (channel.values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / channel.values.len().max(1) as f64).sqrt();
+        let spread_of_values = (channel.values.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+            / channel.values.len().max(1) as f64)
+            .sqrt();
         let floor = if channel.sigma.is_none() && model.is_none() { 0.01 * spread_of_values } else { 0.0 };
         let floor = floor.max(1e-6 * spread_of_values).max(f64::MIN_POSITIVE.sqrt());
         Ok(Self {

@@ -71,8 +71,7 @@ impl<'a> Problem<'a> {
         let scale_m = field.metres_per_unit(middle);
         let cell = field.spacing();
         let newest = positions[n - 1];
-        let away: Vec<[f64; 2]> =
-            positions.iter().map(|p| displacement_m(field.geographic(), newest, *p)).collect();
+        let away: Vec<[f64; 2]> = positions.iter().map(|p| displacement_m(field.geographic(), newest, *p)).collect();
         let spacing_m = positions
             .windows(2)
             .map(|w| {
@@ -117,8 +116,7 @@ impl<'a> Problem<'a> {
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             prepared.push(Prepared { patch, values, noise, cell_m });
         }
-        let tolerance_m =
-            options.tolerance_m.unwrap_or_else(|| (cell[0] * scale_m[0]).max(cell[1] * scale_m[1]));
+        let tolerance_m = options.tolerance_m.unwrap_or_else(|| (cell[0] * scale_m[0]).max(cell[1] * scale_m[1]));
         Ok(Self { options, field, channels: prepared, positions, nuisance, scale_m, cell, tolerance_m, spacing_m })
     }
 

@@ -1,0 +1,518 @@
+//! Grid search: every offset of a lattice (and every heading and scale asked for) scored with a similarity measure.
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, require_finite, require_positive};
+use crate::field::Field;
+use crate::fix::{Fix, Status, Surface};
+use crate::frame::displacement_m;
+use crate::grid::Interpolation;
+use crate::lattice::{Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Pivot, place_track};
+use crate::matching::similarity::{Criterion, Robust, Scoring};
+use crate::monitor::Monitor;
+use crate::track::Track;
+
+/// Options of [`match_grid`]; the defaults search offsets alone with the mean square difference.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GridSearch {
+    /// Measure.
+    pub criterion: Criterion,
+    /// Half size of the search `[x, y]`, map units.
+    pub half_width: [f64; 2],
+    /// Lattice step `[x, y]`, map units; the map spacing where `None`.
+    pub step: Option<[f64; 2]>,
+    /// Heading corrections to try, degrees.
+    pub heading_deg: Vec<f64>,
+    /// Scale corrections to try.
+    pub scale: Vec<f64>,
+    /// Point about which heading and scale turn the track.
+    pub pivot: Pivot,
+    /// Whether a constant is taken out of the differences.
+    pub remove_mean: bool,
+    /// One weight a sample.
+    pub weights: Option<Vec<f64>>,
+    /// Loss in place of the square.
+    pub robust: Option<Robust>,
+    /// How the map is read.
+    pub interpolation: Interpolation,
+    /// Share of the samples that a candidate must have on the map.
+    pub min_overlap: f64,
+    /// Standard deviation of a measured value, map included; estimated from the best fit where `None`.
+    pub sigma: Option<f64>,
+    /// A runner-up whose likelihood is more than this share of the best's makes the answer ambiguous.
+    pub ambiguity: f64,
+    /// Whether the best offset is refined below the lattice step.
+    pub refine: bool,
+    /// Whether the score surface is returned.
+    pub surface: bool,
+    /// Limit on offsets x headings x scales.
+    pub max_candidates: u64,
+}
+
+impl GridSearch {
+    /// A search of the given measure and half width with the defaults for the rest.
+    pub fn new(criterion: Criterion, half_width: [f64; 2]) -> Self {
+        Self {
+            criterion,
+            half_width,
+            step: None,
+            heading_deg: vec![0.0],
+            scale: vec![1.0],
+            pivot: Pivot::Newest,
+            remove_mean: false,
+            weights: None,
+            robust: None,
+            interpolation: Interpolation::Bilinear,
+            min_overlap: 0.8,
+            sigma: None,
+            ambiguity: 0.01,
+            refine: true,
+            surface: false,
+            max_candidates: DEFAULT_MAX_CANDIDATES,
+        }
+    }
+
+    fn check(&self, track: &Track) -> Result<()> {
+        for (what, list) in [("heading_deg", &self.heading_deg), ("scale", &self.scale)] {
+            if list.is_empty() {
+                return Err(Error::invalid(what, "at least one value to try", "none"));
+            }
+            require_finite(what, list)?;
+        }
+        for (i, &s) in self.scale.iter().enumerate() {
+            require_positive(&format!("scale[{i}]"), s)?;
+        }
+        if !(self.min_overlap > 0.0 && self.min_overlap <= 1.0) {
+            return Err(Error::invalid("min_overlap", "a share in (0, 1]", self.min_overlap));
+        }
+        if !(self.ambiguity > 0.0 && self.ambiguity <= 1.0) {
+            return Err(Error::invalid("ambiguity", "a likelihood ratio in (0, 1]", self.ambiguity));
+        }
+        if let Some(sigma) = self.sigma {
+            require_positive("sigma", sigma)?;
+        }
+        let scoring = self.scoring();
+        scoring.check()?;
+        let needed = scoring.least_samples();
+        if track.len() < needed {
+            return Err(Error::TooFewSamples {
+                what: format!("grid search with '{}' about a free mean", self.criterion.as_str()),
+                needed,
+                got: track.len(),
+            });
+        }
+        Ok(())
+    }
+
+    fn scoring(&self) -> Scoring {
+        Scoring { criterion: self.criterion, remove_mean: self.remove_mean, robust: self.robust }
+    }
+}
+
+/// The winner among all candidates.
+#[derive(Debug, Clone, Copy)]
+struct Best {
+    score: f64,
+    row: usize,
+    column: usize,
+    placement: usize,
+}
+
+/// Finds the offset (and heading, and scale) under which the measured sequence fits the map best.
+///
+/// The best offset is refined by a quadratic through the scores around it. The covariance is Gauss-Newton's: noise over
+/// curvature, with the map's gradient along the matched track; measures without a noise model (product, Hausdorff) have
+/// none. The status is `at_edge` where the best lies on the border of the search, `ambiguous` where a place more than
+/// two map cells away fits nearly as well (see [`GridSearch::ambiguity`]), `uninformative` where the field is too flat.
+/// None of this is a calibrated risk.
+///
+/// # Errors
+/// [`Error::Invalid`] for options out of range and for a track that no candidate brings onto the map,
+/// [`Error::TooManyCandidates`], [`Error::TooFewSamples`], [`Error::Interrupted`].
+pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor: &dyn Monitor) -> Result<Fix> {
+    search.check(track)?;
+    let spacing = field.spacing();
+    let step = search.step.unwrap_or(spacing);
+    let placements: Vec<(f64, f64)> =
+        search.heading_deg.iter().flat_map(|&h| search.scale.iter().map(move |&s| (h, s))).collect();
+    let lattice =
+        OffsetLattice::new(search.half_width, step, search.max_candidates / (placements.len() as u64).max(1))?;
+    let scoring = search.scoring();
+    let distance_m = track.distance_m(field.geographic());
+    let min_samples = ((search.min_overlap * track.len() as f64 - 1e-9).ceil() as usize).max(scoring.least_samples());
+    let compare = |placement: usize, interpolation| {
+        let (heading, scale) = placements[placement];
+        let points = place_track(field, track, heading, scale, search.pivot);
+        Comparison::new(
+            field,
+            lattice,
+            points,
+            track.values().to_vec(),
+            search.weights.clone(),
+            interpolation,
+            min_samples,
+        )
+    };
+
+    // The surface over offsets is the best over headings and scales; the placement behind each score is kept beside it.
+    let mut surface: Vec<f64> = Vec::new();
+    let mut chosen: Vec<u32> = Vec::new();
+    for placement in 0..placements.len() {
+        let comparison = compare(placement, search.interpolation)?;
+        let part = PartOf { inner: monitor, index: placement as u64, of: placements.len() as u64 };
+        let scores =
+            scoring.scores(&comparison, field.mean(), &distance_m, 0..lattice.rows(), 0..lattice.columns(), &part)?;
+        if placement == 0 {
+            surface = scores;
+            if placements.len() > 1 {
+                chosen = vec![0; surface.len()];
+            }
+        } else {
+            for ((best, chosen), score) in surface.iter_mut().zip(&mut chosen).zip(scores) {
+                if score < *best || best.is_nan() && !score.is_nan() {
+                    *best = score;
+                    *chosen = placement as u32;
+                }
+            }
+        }
+    }
+    let columns = lattice.columns();
+    let Some(best) = least(&surface, columns, |_, _| true) else {
+        return no_score(field, track, search, &lattice);
+    };
+    let placement = chosen.get(best.row * columns + best.column).map_or(0, |&p| p as usize);
+    let best = Best { placement, ..best };
+    let away = [2.0 * spacing[0] / step[0], 2.0 * spacing[1] / step[1]].map(|cells| (cells - 1e-9).max(1.0));
+    let runner_up = least(&surface, columns, |row, column| {
+        (row as f64 - best.row as f64).abs() > away[1] || (column as f64 - best.column as f64).abs() > away[0]
+    });
+
+    let comparison = compare(best.placement, search.interpolation)?;
+    let around = Neighbourhood::new(&scoring, &comparison, field.mean(), &distance_m, best, monitor)?;
+    let edge = lattice.on_border(best.row, best.column);
+    let shift = if search.refine && !edge { around.vertex() } else { [0.0; 2] };
+    let [ox, oy] = lattice.offset(best.row, best.column);
+    let offset = [ox + shift[0] * step[0], oy + shift[1] * step[1]];
+    let (heading_deg, scale) = placements[best.placement];
+
+    let points = place_track(field, track, heading_deg, scale, search.pivot);
+    let newest = points[points.len() - 1];
+    let indicated = track.newest();
+    let offset = [newest[0] - indicated[0] + offset[0], newest[1] - indicated[1] + offset[1]];
+    let moved: Vec<[f64; 2]> = points
+        .iter()
+        .map(|p| {
+            [field.wrap_x(p[0] + offset[0] - (newest[0] - indicated[0])), p[1] + offset[1] - (newest[1] - indicated[1])]
+        })
+        .collect();
+    let fit = LocalFit::new(field, track, search, &moved, &placements);
+    let best_score = around.centre();
+    let status = if edge {
+        Status::AtEdge
+    } else if fit.uninformative(field, &lattice, newest[1]) {
+        Status::Uninformative
+    } else if runner_up.is_some_and(|r| search.ambiguous(best_score, r.score, fit.samples)) {
+        Status::Ambiguous
+    } else {
+        Status::Fixed
+    };
+    let mut fix = Fix::at_point(field, indicated, offset, status);
+    fix.heading_deg = heading_deg;
+    fix.scale = scale;
+    fix.bias = fit.bias;
+    fix.covariance_m2 = fit.covariance_m2;
+    fix.score = search.criterion.natural(best_score);
+    fix.runner_up = runner_up.map_or(f64::NAN, |r| search.criterion.natural(r.score));
+    fix.n_samples = fit.samples;
+    fix.track = moved;
+    if search.surface {
+        for score in &mut surface {
+            *score = search.criterion.natural(*score);
+        }
+        fix.surface =
+            Some(Surface { values: surface, rows: lattice.rows(), columns, first: lattice.offset(0, 0), step });
+    }
+    Ok(fix)
+}
+
+impl GridSearch {
+    /// Whether a runner-up is too near. With a noise model: its likelihood, half of the samples counted as independent
+    /// (their errors are not), is more than `ambiguity` of the best's. Without: its score is within a twentieth.
+    fn ambiguous(&self, best: f64, runner_up: f64, samples: usize) -> bool {
+        let n = 0.5 * samples as f64;
+        let log_ratio = match (self.criterion, self.robust, self.sigma) {
+            (Criterion::Prod, _, _) => return -runner_up > 0.95 * -best,
+            (Criterion::Hausdorff { .. }, _, _) => return runner_up < 1.05 * best,
+            (Criterion::Msd, Some(Robust::StudentT { .. }), _) => 0.5 * n * (runner_up - best),
+            (Criterion::Msd, None, Some(sigma)) => 0.5 * n * (runner_up - best) / (sigma * sigma),
+            (Criterion::Msd, _, _) => 0.5 * n * (runner_up / best).ln(),
+            (Criterion::Mad, _, _) => n * (runner_up / best).ln(),
+            (Criterion::Ncc, _, _) => 0.5 * n * ((1.0 - runner_up * runner_up.abs()) / (1.0 - best * best.abs())).ln(),
+        };
+        // Written so that 0 / 0, two perfect fits, is ambiguous.
+        !(log_ratio >= -self.ambiguity.ln())
+    }
+}
+
+/// Progress of one placement as part of the whole.
+struct PartOf<'a> {
+    inner: &'a dyn Monitor,
+    index: u64,
+    of: u64,
+}
+
+impl Monitor for PartOf<'_> {
+    fn advance(&self, done: u64, total: u64) -> Result<()> {
+        self.inner.advance(self.index * total + done, self.of * total)
+    }
+}
+
+/// Least score among the candidates that `admit` lets in; ties go to the smaller index.
+fn least(surface: &[f64], columns: usize, admit: impl Fn(usize, usize) -> bool) -> Option<Best> {
+    let mut best: Option<Best> = None;
+    for (i, &score) in surface.iter().enumerate() {
+        if score < best.map_or(f64::INFINITY, |b| b.score) {
+            let (row, column) = (i / columns, i % columns);
+            if admit(row, column) {
+                best = Some(Best { score, row, column, placement: 0 });
+            }
+        }
+    }
+    best
+}
+
+/// The answer where no candidate has a score.
+fn no_score(field: &dyn Field, track: &Track, search: &GridSearch, lattice: &OffsetLattice) -> Result<Fix> {
+    if let Some(grid) = field.as_grid() {
+        let reach = |k: usize, d: usize| {
+            let [x, y] = [grid.wrap_x(track.x()[k]), track.y()[k]];
+            let axis = if d == 0 { grid.x() } else { grid.y() };
+            let p = if d == 0 { x } else { y };
+            p >= axis.first() - search.half_width[d] && p <= axis.last() + search.half_width[d]
+        };
+        if !(0..track.len()).any(|k| reach(k, 0) && reach(k, 1)) {
+            return Err(Error::invalid(
+                "track",
+                format!(
+                    "points within the search of the map (x {}..{}, y {}..{}; are the units the same?)",
+                    grid.x().first(),
+                    grid.x().last(),
+                    grid.y().first(),
+                    grid.y().last()
+                ),
+                format!("sample 0 at x {}, y {}", track.x()[0], track.y()[0]),
+            ));
+        }
+    }
+    let mut fix = Fix::none(Status::Uninformative, track.len());
+    if search.surface {
+        fix.surface = Some(Surface {
+            values: vec![f64::NAN; lattice.len()],
+            rows: lattice.rows(),
+            columns: lattice.columns(),
+            first: lattice.offset(0, 0),
+            step: lattice.step(),
+        });
+    }
+    Ok(fix)
+}
+
+/// Scores of the 3 x 3 offsets around the best, in double precision.
+struct Neighbourhood {
+    scores: [[f64; 3]; 3],
+}
+
+impl Neighbourhood {
+    fn new(
+        scoring: &Scoring,
+        comparison: &Comparison<'_>,
+        map_mean: f64,
+        distance_m: &[f64],
+        best: Best,
+        monitor: &dyn Monitor,
+    ) -> Result<Self> {
+        let lattice = comparison.lattice();
+        let mut scores = [[f64::NAN; 3]; 3];
+        let rows = best.row.saturating_sub(1)..(best.row + 2).min(lattice.rows());
+        let columns = best.column.saturating_sub(1)..(best.column + 2).min(lattice.columns());
+        let block = scoring.scores(comparison, map_mean, distance_m, rows.clone(), columns.clone(), monitor)?;
+        for (i, row) in rows.clone().enumerate() {
+            for (j, column) in columns.clone().enumerate() {
+                scores[row + 1 - best.row][column + 1 - best.column] = block[i * columns.len() + j];
+            }
+        }
+        Ok(Self { scores })
+    }
+
+    fn centre(&self) -> f64 {
+        self.scores[1][1]
+    }
+
+    /// Vertex of the quadratic through the neighbours, in steps `[x, y]`, at most one step away.
+    ///
+    /// Both directions together where the quadratic has a minimum there, else each on its own, else not at all.
+    fn vertex(&self) -> [f64; 2] {
+        let s = &self.scores;
+        let c = s[1][1];
+        let (gx, hx) = (0.5 * (s[1][2] - s[1][0]), s[1][2] - 2.0 * c + s[1][0]);
+        let (gy, hy) = (0.5 * (s[2][1] - s[0][1]), s[2][1] - 2.0 * c + s[0][1]);
+        let hxy = 0.25 * (s[2][2] - s[2][0] - s[0][2] + s[0][0]);
+        let alone = |g: f64, h: f64| if h > 0.0 && g.is_finite() { (-g / h).clamp(-0.5, 0.5) } else { 0.0 };
+        let det = hx * hy - hxy * hxy;
+        if hx > 0.0 && hy > 0.0 && det > 1e-6 * hx * hy && gx.is_finite() && gy.is_finite() {
+            let vertex = [(hxy * gy - hy * gx) / det, (hxy * gx - hx * gy) / det];
+            if vertex.iter().all(|v| v.abs() <= 1.0) {
+                return vertex;
+            }
+        }
+        [alone(gx, hx), alone(gy, hy)]
+    }
+}
+
+/// Noise and curvature at the answer.
+struct LocalFit {
+    samples: usize,
+    bias: Option<f64>,
+    covariance_m2: Option<[[f64; 2]; 2]>,
+    /// Covariance without a noise level: the inverse of the curvature.
+    flat: bool,
+}
+
+impl LocalFit {
+    /// Gauss-Newton at the matched points over east, north and whatever else was searched: heading, scale, constant,
+    /// and for the correlation coefficient the gain.
+    fn new(
+        field: &dyn Field,
+        track: &Track,
+        search: &GridSearch,
+        moved: &[[f64; 2]],
+        placements: &[(f64, f64)],
+    ) -> Self {
+        let free_mean = search.remove_mean || search.criterion == Criterion::Ncc;
+        let gain = search.criterion == Criterion::Ncc;
+        let turning = placements.iter().any(|p| p.0 != placements[0].0);
+        let stretching = placements.iter().any(|p| p.1 != placements[0].1);
+        let pivot = match search.pivot {
+            Pivot::Newest => moved[moved.len() - 1],
+            Pivot::Centroid => {
+                let n = moved.len() as f64;
+                [moved.iter().map(|p| p[0]).sum::<f64>() / n, moved.iter().map(|p| p[1]).sum::<f64>() / n]
+            }
+        };
+        let mut rows: Vec<(Vec<f64>, f64, f64)> = Vec::with_capacity(moved.len());
+        for (k, p) in moved.iter().enumerate() {
+            let (m, [east, north]) = field.value_and_gradient(p[0], p[1]);
+            if m.is_nan() || east.is_nan() || north.is_nan() {
+                continue;
+            }
+            let [e, n] = displacement_m(field.geographic(), pivot, *p);
+            let mut row = vec![east, north];
+            if turning {
+                row.push(east * n - north * e);
+            }
+            if stretching {
+                row.push(east * e + north * n);
+            }
+            if free_mean {
+                row.push(1.0);
+            }
+            if gain {
+                row.push(m - field.mean());
+            }
+            let weight = search.weights.as_ref().map_or(1.0, |w| w[k]);
+            rows.push((row, track.values()[k] - m, weight));
+        }
+        let samples = rows.len();
+        let total: f64 = rows.iter().map(|r| r.2).sum();
+        let mean = rows.iter().map(|r| r.1 * r.2).sum::<f64>() / total;
+        let bias = (search.remove_mean && total > 0.0).then_some(mean);
+        let parameters = rows.first().map_or(0, |r| r.0.len());
+        let none = Self { samples, bias, covariance_m2: None, flat: true };
+        if samples < parameters.max(2) || total <= 0.0 {
+            return none;
+        }
+        // Columns to unit norm: metres, radians and nanoteslas share one matrix.
+        let mut normal = DMatrix::<f64>::zeros(parameters, parameters);
+        let mut right = DVector::<f64>::zeros(parameters);
+        for (row, r, w) in &rows {
+            for i in 0..parameters {
+                right[i] += w * row[i] * r;
+                for j in 0..parameters {
+                    normal[(i, j)] += w * row[i] * row[j];
+                }
+            }
+        }
+        let norms: Vec<f64> = (0..parameters).map(|i| normal[(i, i)].sqrt()).collect();
+        if norms.iter().any(|n| !(*n > 0.0)) {
+            return none;
+        }
+        for i in 0..parameters {
+            right[i] /= norms[i];
+            for j in 0..parameters {
+                normal[(i, j)] /= norms[i] * norms[j];
+            }
+        }
+        let eigen = normal.clone().symmetric_eigen();
+        let (low, high) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
+        if !(low > 1e-12 * high) {
+            return none;
+        }
+        let Some(inverse) = normal.cholesky().map(|c| c.inverse()) else { return none };
+        // Residual noise after the nuisance parameters (constant, gain) have taken their share.
+        let nuisance = parameters - usize::from(free_mean) - usize::from(gain)..parameters;
+        let spread = |power: i32| {
+            let mut sum = 0.0;
+            let solution = nuisance_solution(&rows, nuisance.clone());
+            for (row, r, w) in &rows {
+                let fitted: f64 = nuisance.clone().zip(&solution).map(|(i, s)| row[i] * s).sum();
+                sum += w * (r - fitted).abs().powi(power);
+            }
+            sum / total
+        };
+        let freedom = (samples as f64 / (samples as f64 - parameters as f64).max(1.0)).min(samples as f64);
+        let noise = match (search.sigma, search.criterion) {
+            (_, Criterion::Prod | Criterion::Hausdorff { .. }) => None,
+            (Some(sigma), _) => Some(sigma * sigma),
+            // Laplace noise of mean absolute value b: the least-absolute-deviation estimate has covariance b^2 / curvature.
+            (None, Criterion::Mad) => Some((spread(1) * freedom).powi(2)),
+            (None, _) => Some(spread(2) * freedom),
+        };
+        let scale = total / samples as f64;
+        let covariance_m2 = noise.filter(|_| samples > parameters || search.sigma.is_some()).map(|noise| {
+            let at = |i: usize, j: usize| noise * scale * inverse[(i, j)] / (norms[i] * norms[j]);
+            [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]]
+        });
+        Self { samples, bias, covariance_m2, flat: false }
+    }
+
+    /// Whether the position is no better known than the search itself.
+    fn uninformative(&self, field: &dyn Field, lattice: &OffsetLattice, y: f64) -> bool {
+        if self.flat {
+            return true;
+        }
+        let unit = field.metres_per_unit(y);
+        let [step, half] = [lattice.step(), lattice.half().map(|h| h as f64)];
+        self.covariance_m2
+            .is_some_and(|c| (0..2).any(|d| half[d] > 0.0 && c[d][d].sqrt() > half[d].max(1.0) * step[d] * unit[d]))
+    }
+}
+
+/// Weighted least squares of the residuals on at most two nuisance columns.
+fn nuisance_solution(rows: &[(Vec<f64>, f64, f64)], columns: std::ops::Range<usize>) -> Vec<f64> {
+    let n = columns.len();
+    if n == 0 {
+        return Vec::new();
+    }
+    let mut normal = DMatrix::<f64>::zeros(n, n);
+    let mut right = DVector::<f64>::zeros(n);
+    for (row, r, w) in rows {
+        for i in 0..n {
+            right[i] += w * row[columns.start + i] * r;
+            for j in 0..n {
+                normal[(i, j)] += w * row[columns.start + i] * row[columns.start + j];
+            }
+        }
+    }
+    normal.lu().solve(&right).map_or(vec![0.0; n], |s| s.iter().copied().collect())
+}
