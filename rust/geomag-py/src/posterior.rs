@@ -163,7 +163,7 @@ pub fn match_posterior_many(
     )?;
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
     let units = tracks.len() as u64 * 4_000_000;
-    let fixes = long_call::run(py, units, progress, |monitor| -> Result<_, Error> {
+    let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
         posterior::match_many(&*map, &tracks, sigma, &options, monitor)
     })?;
     Ok(fixes.into_iter().map(PyFix::from).collect())

@@ -5,6 +5,7 @@
 //! capture it) and integrated out by Laplace's method with the expected information (nu + 1) / ((nu + 3) s^2).
 //! Logarithms are taken of running products, so that a sample costs multiplications only.
 
+use super::model::Level;
 use super::patch::Patch;
 
 /// Candidates handled together, so that the inner loops are vectors.
@@ -31,8 +32,7 @@ pub(super) struct Setup<'a> {
     /// Half the lattice step and the position jitter as one standard deviation per axis, metres squared.
     pub blur_m2: [f64; 2],
     pub sensor_variance: f64,
-    pub levels: &'a [f64],
-    pub nu: f64,
+    pub levels: &'a [Level],
     /// None: no bias at all; infinite: unknown without bound.
     pub bias_sigma: Option<f64>,
     /// Displacement shapes and prior sigmas of the other nuisance parameters.
@@ -110,7 +110,9 @@ fn fill(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
             let sample = setup.patch.at(px, py);
             let residual = setup.values[k] - f64::from(sample.value);
             let (gx, gy) = (f64::from(sample.gradient[0]) / cell_east, f64::from(sample.gradient[1]) / cell_north);
-            let mut extra = setup.sensor_variance + gx * gx * setup.blur_m2[0] + gy * gy * setup.blur_m2[1];
+            let curved = f64::from(sample.curvature);
+            let mut extra =
+                setup.sensor_variance + curved * curved / 3.0 + gx * gx * setup.blur_m2[0] + gy * gy * setup.blur_m2[1];
             if !setup.solve {
                 for (shape, sigma) in setup.shapes.iter().zip(setup.sigmas) {
                     let [east, north] = shape[k];
@@ -149,12 +151,12 @@ fn evaluate(setup: &Setup<'_>, scratch: &mut Scratch) -> Scores {
     let mut bias = [0.0; LANES];
     let solve = setup.solve && !setup.shapes.is_empty();
     for (index, level) in setup.levels.iter().enumerate() {
-        let mut lane = weigh(scratch, level * level);
+        let mut lane = weigh(scratch, level.factor * level.factor);
         let starts = if index == 0 { &WIDENING[..] } else { &WIDENING[2..] };
         if solve {
-            solve_all(setup, scratch, &mut lane);
+            solve_all(setup, scratch, level.nu, &mut lane);
         } else {
-            one_bias(setup, scratch, starts, &mut bias, &mut lane);
+            one_bias(setup, scratch, level.nu, starts, &mut bias, &mut lane);
         }
         for l in 0..LANES {
             // A candidate that misses a few samples is judged by those that it has, as if there were all.
@@ -191,9 +193,8 @@ fn weigh(scratch: &mut Scratch, level2: f64) -> Lane {
 
 /// Adds the log of the Student-t product with the bias integrated out.
 #[inline(always)]
-fn one_bias(setup: &Setup<'_>, scratch: &Scratch, widening: &[f64], bias: &mut Lane, total: &mut Lane) {
+fn one_bias(setup: &Setup<'_>, scratch: &Scratch, nu: f64, widening: &[f64], bias: &mut Lane, total: &mut Lane) {
     let n = scratch.residual.len();
-    let nu = setup.nu;
     let prior = setup.bias_sigma.map(|s| if s.is_finite() { 1.0 / (s * s) } else { 0.0 });
     if let Some(prior) = prior {
         for &wide in widening {
@@ -243,17 +244,16 @@ fn one_bias(setup: &Setup<'_>, scratch: &Scratch, widening: &[f64], bias: &mut L
 }
 
 /// Adds the log of the Student-t product with the bias and all other nuisance parameters integrated out.
-fn solve_all(setup: &Setup<'_>, scratch: &Scratch, total: &mut Lane) {
+fn solve_all(setup: &Setup<'_>, scratch: &Scratch, nu: f64, total: &mut Lane) {
     for (l, total) in total.iter_mut().enumerate() {
-        let (_, log) = nuisances(setup, scratch, l);
+        let (_, log) = nuisances(setup, scratch, nu, l);
         *total += log;
     }
 }
 
 /// The most likely nuisance parameters of one candidate (bias first, where there is one) and the log of the integral.
-fn nuisances(setup: &Setup<'_>, scratch: &Scratch, lane: usize) -> ([f64; MOST], f64) {
+fn nuisances(setup: &Setup<'_>, scratch: &Scratch, nu: f64, lane: usize) -> ([f64; MOST], f64) {
     let n = scratch.residual.len();
-    let nu = setup.nu;
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let size = with_bias + setup.shapes.len();
     let mut prior = [0.0; MOST];
@@ -373,13 +373,13 @@ pub(super) struct Detail {
 }
 
 /// Looks closely at one candidate under one error level.
-pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: f64, scratch: &mut Scratch) -> Detail {
+pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
     fill(setup, &[offset], scratch);
-    weigh(scratch, level * level);
-    let (theta, _) = nuisances(setup, scratch, 0);
+    weigh(scratch, level.factor * level.factor);
+    let (theta, _) = nuisances(setup, scratch, level.nu, 0);
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let n = setup.positions.len();
-    let nu = setup.nu;
+    let nu = level.nu;
     let (mut misfit, mut known) = (0.0, 0);
     let size = with_bias + setup.shapes.len();
     // Fisher information of (offset east, north, nuisances); the Schur complement leaves that of the offset.

@@ -5,8 +5,10 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 
-/// Tails of one sample's error where no error model says otherwise.
+/// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
+/// Tails of the sensor's own error: nearly normal, yet an outlier of any size counts for little.
+const SENSOR_NU: f64 = 10.0;
 /// Spread of the error level of one track where a sigma is given without an error model.
 const DEFAULT_SPREAD: f64 = 0.35;
 /// Correlation length of map errors in distances to the data, where not learnt.
@@ -38,7 +40,7 @@ pub struct PosteriorOptions {
     pub scale_sigma: f64,
     /// Standard deviation of the position jitter of one sample, metres.
     pub position_sigma_m: f64,
-    /// Degrees of freedom of the errors; `None` takes the map's own, or 3.
+    /// Degrees of freedom of the errors; `None` takes the map's own, or 3 (10 for the error levels at which the sensor's error is all).
     pub nu: Option<f64>,
     /// Least share of the samples that a candidate must have on the map.
     pub min_overlap: f64,
@@ -119,13 +121,25 @@ pub struct Channel<'a> {
     pub sigma: Option<f64>,
 }
 
+/// One hypothesis on the error of the map along a track.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Level {
+    /// Factor on the map's sigma.
+    pub factor: f64,
+    /// Degrees of freedom.
+    pub nu: f64,
+    /// Logarithm of its prior probability.
+    pub log_prior: f64,
+}
+
 /// Error statistics of one channel, settled.
 #[derive(Debug, Clone)]
 pub(super) struct Noise {
-    pub nu: f64,
     pub sensor_variance: f64,
-    /// Factors on the map's sigma, each with the logarithm of its prior probability.
-    pub levels: Vec<(f64, f64)>,
+    /// What the map's error may be.
+    pub levels: Vec<Level>,
+    /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
+    pub levels_are_distances: bool,
     /// Correlation length and registration error, in distances to the data.
     pub correlation: f64,
     pub registration: f64,
@@ -142,7 +156,7 @@ impl Noise {
             None => grid.is_none(),
         };
         let spread = model.map_or(DEFAULT_SPREAD, |m| m.scale_spread);
-        let mut levels: Vec<(f64, f64)> = if exact {
+        let priors: Vec<(f64, f64)> = if exact {
             vec![(0.0, 0.0)]
         } else if !stated {
             UNKNOWN_LEVELS.to_vec()
@@ -151,8 +165,17 @@ impl Noise {
         } else {
             [-2.0_f64, -1.0, 0.0, 1.0, 2.0].iter().map(|z| ((spread * z).exp(), -0.5 * z * z)).collect()
         };
-        let total: f64 = levels.iter().map(|l| l.1.exp()).sum();
-        levels.iter_mut().for_each(|l| l.1 -= total.ln());
+        let total: f64 = priors.iter().map(|l| l.1.exp()).sum();
+        let map_nu = options.nu.or(model.map(|m| m.nu)).unwrap_or(DEFAULT_NU);
+        let sensor_nu = options.nu.unwrap_or(SENSOR_NU);
+        let levels = priors
+            .iter()
+            .map(|&(factor, weight)| Level {
+                factor,
+                nu: if factor == 0.0 { sensor_nu } else { map_nu },
+                log_prior: weight - total.ln(),
+            })
+            .collect();
         let sensor = match channel.sigma {
             Some(s) => require_not_negative("sigma", s)?,
             None => 0.0,
@@ -165,9 +188,9 @@ impl Noise {
         let floor = if channel.sigma.is_none() && model.is_none() { 0.01 * spread_of_values } else { 0.0 };
         let floor = floor.max(1e-6 * spread_of_values).max(f64::MIN_POSITIVE.sqrt());
         Ok(Self {
-            nu: options.nu.or(model.map(|m| m.nu)).unwrap_or(DEFAULT_NU),
             sensor_variance: sensor.max(floor).powi(2),
             levels,
+            levels_are_distances: !stated,
             correlation: model.map_or(DEFAULT_CORRELATION, |m| m.correlation),
             registration: model.map_or(DEFAULT_REGISTRATION, |m| m.registration),
         })

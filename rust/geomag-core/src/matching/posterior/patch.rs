@@ -7,13 +7,13 @@ use crate::map_error::DistanceLayer;
 /// Where nothing is known of a map's error, it is taken to be displaced by this many cells.
 pub(super) const DEFAULT_ERROR_CELLS: f64 = 1.0;
 /// Where nothing is known of the data behind a map, they are taken to be this many cells away.
-pub(super) const DEFAULT_DISTANCE_CELLS: f64 = 2.0;
+pub(super) const DEFAULT_DISTANCE_CELLS: f64 = 4.0;
 /// Half width in cells of the box over which the gradient of the default error model is averaged.
 const SMOOTHING_CELLS: usize = 2;
 /// Largest distance in cells between a node and the hole next to it over which nothing is interpolated.
 const NODE_TOLERANCE: f64 = 1e-9;
 
-/// A window of the map: `[value - level, error variance, distance to data, 0]` a node.
+/// A window of the map: `[value - level, error variance, distance to data, largest second difference]` a node.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
     /// Coordinate of the map's (not the patch's) first node.
@@ -37,6 +37,8 @@ pub(super) struct Sample {
     pub distance: f32,
     /// Gradient per cell.
     pub gradient: [f32; 2],
+    /// What a curve through the nodes would differ by from the straight line between them.
+    pub curvature: f32,
 }
 
 impl Patch {
@@ -86,10 +88,26 @@ impl Patch {
                 }
             }
         }
+        patch.fill_bends();
         if grid.is_some_and(|g| g.map_sigma().is_none()) {
             patch.fill_default_variance([step[0] * east / cell_m, step[1] * north / cell_m]);
         }
         patch
+    }
+
+    /// Second differences of the values: what bilinear interpolation leaves out.
+    fn fill_bends(&mut self) {
+        let (columns, rows) = (self.columns, self.rows);
+        for r in 0..rows {
+            for c in 0..columns {
+                let at = |r: usize, c: usize| self.nodes[r * columns + c][0];
+                let middle = at(r, c);
+                let across = if c > 0 && c + 1 < columns { at(r, c - 1) + at(r, c + 1) - 2.0 * middle } else { 0.0 };
+                let along = if r > 0 && r + 1 < rows { at(r - 1, c) + at(r + 1, c) - 2.0 * middle } else { 0.0 };
+                let bend = across.abs().max(along.abs());
+                self.nodes[r * columns + c][3] = if bend.is_finite() { bend } else { 0.0 };
+            }
+        }
     }
 
     /// Error variance from the local mean square gradient; `aspect` is the cell's sides over its mean side.
@@ -146,7 +164,8 @@ impl Patch {
     /// Bilinear value, variance, distance and gradient; a NaN value off the patch and next to holes.
     #[inline(always)]
     pub fn at(&self, px: f64, py: f64) -> Sample {
-        const UNKNOWN: Sample = Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2] };
+        const UNKNOWN: Sample =
+            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         if !(px >= -NODE_TOLERANCE
             && py >= -NODE_TOLERANCE
@@ -170,10 +189,11 @@ impl Patch {
             let high = e[k] + u * (f[k] - e[k]);
             mixed[k] = low + v * (high - low);
         }
-        let [value, variance, distance, _] = mixed;
+        let [value, variance, distance, bend] = mixed;
         let gx = (b[0] - a[0]) + v * ((f[0] - e[0]) - (b[0] - a[0]));
         let gy = (e[0] - a[0]) + u * ((f[0] - b[0]) - (e[0] - a[0]));
-        Sample { value, variance, distance, gradient: [gx, gy] }
+        let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
+        Sample { value, variance, distance, gradient: [gx, gy], curvature }
     }
 
     /// Spacing, map units.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, Noise, Nuisance, PosteriorOptions};
+use super::model::{Channel, Level, Noise, Nuisance, PosteriorOptions};
 use super::patch::Patch;
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -214,7 +214,7 @@ impl<'a> Problem<'a> {
         step_m[0].max(step_m[1]) <= spread
     }
 
-    fn setup<'b>(&'b self, channel: &'b Prepared, levels: &'b [f64], step: [f64; 2], solve: bool) -> Setup<'b> {
+    fn setup<'b>(&'b self, channel: &'b Prepared, levels: &'b [Level], step: [f64; 2], solve: bool) -> Setup<'b> {
         let jitter = self.options.position_sigma_m.powi(2);
         let blur = |d: usize| (step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter;
         Setup {
@@ -225,7 +225,6 @@ impl<'a> Problem<'a> {
             blur_m2: [blur(0), blur(1)],
             sensor_variance: channel.noise.sensor_variance,
             levels,
-            nu: channel.noise.nu,
             bias_sigma: match self.options.bias_sigma {
                 None => Some(f64::INFINITY),
                 Some(0.0) => None,
@@ -243,8 +242,7 @@ impl<'a> Problem<'a> {
         let mut log_p = vec![0.0; offsets.len()];
         let mut blur2 = vec![0.0; offsets.len()];
         for channel in &self.channels {
-            let levels: Vec<f64> = channel.noise.levels.iter().map(|l| l.0).collect();
-            let setup = self.setup(channel, &levels, step, solve);
+            let setup = self.setup(channel, &channel.noise.levels, step, solve);
             let blocks: Vec<Scores> = if offsets.len() * self.positions.len() < PARALLEL {
                 let mut scratch = Scratch::default();
                 offsets.chunks(LANES).map(|block| kernel::score(&setup, block, &mut scratch)).collect()
@@ -290,22 +288,24 @@ impl<'a> Problem<'a> {
         map_variance /= count;
         // Effective share of independent samples in errors that decorrelate over a length l: those of an AR(1) series
         // with coefficient exp(-spacing / l) count as (1 - rho) / (1 + rho) = tanh(spacing / 2 l).
-        let length = noise.correlation * distance;
-        let independent = if length > 0.0 { (0.5 * self.spacing_m / length).tanh().max(1e-3) } else { 1.0 };
-        let share = |level: f64| {
-            let v = level * level * map_variance;
+        let length =
+            |level: &Level| noise.correlation * distance * if noise.levels_are_distances { level.factor } else { 1.0 };
+        let independent = |level: &Level| {
+            let length = length(level);
+            if length > 0.0 { (0.5 * self.spacing_m / length).tanh().max(1e-3) } else { 1.0 }
+        };
+        let share = |level: &Level| {
+            let v = level.factor * level.factor * map_variance;
             v / (v + noise.sensor_variance)
         };
         let temper: Vec<f64> = noise
             .levels
             .iter()
-            .map(|l| {
-                let f = share(l.0);
-                1.0 / ((1.0 - f) + f / independent)
+            .map(|level| {
+                let f = share(level);
+                1.0 / ((1.0 - f) + f / independent(level))
             })
             .collect();
-        // Evidence of each level, all at the same temper so that they can be compared.
-        let common = temper.iter().copied().fold(1.0, f64::min);
         let log_sum = |level: usize, temper: f64| {
             let mut best = f64::NEG_INFINITY;
             for b in blocks {
@@ -316,25 +316,20 @@ impl<'a> Problem<'a> {
                 let (b, l) = lanes(i);
                 sum += (temper * (blocks[b].log_likelihood[level][l] - best)).exp();
             }
-            (temper * best, sum.ln())
+            temper * best + sum.ln()
         };
-        let mut weights: Vec<f64> = noise
-            .levels
-            .iter()
-            .enumerate()
-            .map(|(v, l)| {
-                let (best, sum) = log_sum(v, common);
-                l.1 + best + sum
-            })
-            .collect();
+        // Evidence of each level against its neighbour, both at the smaller of their tempers, so that a hypothesis is
+        // not favoured for the logarithm of its units.
+        let mut weights = vec![noise.levels[0].log_prior; noise.levels.len()];
+        for v in 1..noise.levels.len() {
+            let common = temper[v].min(temper[v - 1]);
+            weights[v] = weights[v - 1] + noise.levels[v].log_prior - noise.levels[v - 1].log_prior
+                + log_sum(v, common)
+                - log_sum(v - 1, common);
+        }
         let top = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         weights.iter_mut().for_each(|w| *w -= top);
-        let normalise: Vec<f64> = (0..noise.levels.len())
-            .map(|v| {
-                let (best, sum) = log_sum(v, temper[v]);
-                best + sum
-            })
-            .collect();
+        let normalise: Vec<f64> = (0..noise.levels.len()).map(|v| log_sum(v, temper[v])).collect();
         for i in 0..log_p.len() {
             let (b, l) = lanes(i);
             if !valid(i) {
@@ -346,7 +341,9 @@ impl<'a> Problem<'a> {
             for v in 0..noise.levels.len() {
                 let p = (weights[v] + temper[v] * blocks[b].log_likelihood[v][l] - normalise[v]).exp();
                 total += p;
-                blurred += p * share(noise.levels[v].0) * rho * rho;
+                let level = &noise.levels[v];
+                let displaced = if noise.levels_are_distances { level.factor * rho } else { rho };
+                blurred += p * share(level) * displaced * displaced;
             }
             log_p[i] += total.ln();
             if total > 0.0 {
@@ -359,18 +356,18 @@ impl<'a> Problem<'a> {
     pub fn detail(&self, offset: [f64; 2], step: [f64; 2]) -> (kernel::Detail, f64) {
         let channel = &self.channels[0];
         let mut scratch = Scratch::default();
-        let levels: Vec<f64> = channel.noise.levels.iter().map(|l| l.0).collect();
-        let setup = self.setup(channel, &levels, step, true);
-        let top = levels.iter().copied().fold(0.0, f64::max);
-        let level = if channel.noise.levels.len() > 1 && levels[0] > 0.0 { 1.0 } else { top };
+        let levels = &channel.noise.levels;
+        let setup = self.setup(channel, levels, step, true);
+        // The middle of a spread of levels, or the worst that an unknown map may be.
+        let level = levels[if channel.noise.levels_are_distances { levels.len() - 1 } else { levels.len() / 2 }];
         let detail = kernel::detail(&setup, offset, level, &mut scratch);
-        (detail, channel.noise.nu)
+        (detail, level.nu)
     }
 
     /// Factor by which correlation widens the law of the mean misfit.
     pub fn misfit_inflation(&self) -> f64 {
         let channel = &self.channels[0];
-        let spread = channel.noise.levels.iter().map(|l| l.0).fold(0.0, f64::max).max(1.0);
+        let spread = channel.noise.levels.iter().map(|l| l.factor).fold(0.0, f64::max).max(1.0);
         spread * 3.0
     }
 
