@@ -15,6 +15,7 @@ pub mod field;
 pub mod fix;
 pub mod frame;
 pub mod grid;
+pub mod gridding;
 pub mod lattice;
 pub mod map_error;
 pub mod matching;

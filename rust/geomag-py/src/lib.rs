@@ -15,6 +15,7 @@ mod error;
 mod fix;
 mod grid;
 mod grid_search;
+mod gridding;
 mod iema;
 mod long_call;
 mod posterior;
@@ -28,6 +29,8 @@ mod _geomag {
     use crate::grid::PyGridMap;
     #[pymodule_export]
     use crate::grid_search::py_match_grid;
+    #[pymodule_export]
+    use crate::gridding::{py_distance_to_data, py_minimum_curvature};
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
     #[pymodule_export]

@@ -216,7 +216,11 @@ impl<'a> Problem<'a> {
 
     fn setup<'b>(&'b self, channel: &'b Prepared, levels: &'b [Level], step: [f64; 2], solve: bool) -> Setup<'b> {
         let jitter = self.options.position_sigma_m.powi(2);
-        let blur = |d: usize| (step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter;
+        // A stage that will be refined must keep the cell that holds the truth, wherever in the cell that is: its variance
+        // is that of the cell's border. A last stage has that of a uniform law.
+        let coarse = self.options.step.is_none() && step[0] > 0.4 * self.cell[0];
+        let share = if coarse { 0.25 } else { 1.0 / 12.0 };
+        let blur = |d: usize| share * (step[d] * self.scale_m[d]).powi(2) + jitter;
         Setup {
             patch: &channel.patch,
             positions: &self.positions,
@@ -288,8 +292,9 @@ impl<'a> Problem<'a> {
         map_variance /= count;
         // Effective share of independent samples in errors that decorrelate over a length l: those of an AR(1) series
         // with coefficient exp(-spacing / l) count as (1 - rho) / (1 + rho) = tanh(spacing / 2 l).
-        let length =
-            |level: &Level| noise.correlation * distance * if noise.levels_are_distances { level.factor } else { 1.0 };
+        let length = |level: &Level| {
+            noise.correlation * distance * if noise.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
+        };
         let independent = |level: &Level| {
             let length = length(level);
             if length > 0.0 { (0.5 * self.spacing_m / length).tanh().max(1e-3) } else { 1.0 }
@@ -342,7 +347,7 @@ impl<'a> Problem<'a> {
                 let p = (weights[v] + temper[v] * blocks[b].log_likelihood[v][l] - normalise[v]).exp();
                 total += p;
                 let level = &noise.levels[v];
-                let displaced = if noise.levels_are_distances { level.factor * rho } else { rho };
+                let displaced = if noise.levels_are_distances { level.factor.min(1.0) * rho } else { rho };
                 blurred += p * share(level) * displaced * displaced;
             }
             log_p[i] += total.ln();
