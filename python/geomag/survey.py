@@ -41,11 +41,20 @@ LINE_ERROR_CELLS = 0.1
 #: Tails of one sample, and spread of the error level from track to track.
 NU = 3.0
 SCALE_SPREAD = 0.35
-#: Correlation lengths and registration errors that are tried, in distances to the data.
-CORRELATIONS = (0.5, 0.7, 0.9, 1.1, 1.4, 1.8, 2.4)
-REGISTRATIONS = (0.05, 0.15)
+#: Displacement common to a whole window, in distances to the data.
+REGISTRATION = 0.05
+#: Correlation lengths (in distances to the data) and shares of the single-sample sigma that are tried. One sample's law has the worst
+#: tracks in it, which the spread of the level stands for already: most tracks need less.
+CORRELATIONS = (0.8, 0.95, 1.1, 1.3, 1.6, 2.0)
+SHARES = (0.5, 0.7, 1.0)
+#: What is believed of the two before a survey is seen: centre and standard deviation of the logarithm. A survey of a
+#: few hundred windows moves them where it is clear, and only there.
+CORRELATION_PRIOR = (1.1, 0.2)
+SHARE_PRIOR = (0.5, 0.35)
+#: Nodes of a map whose spacing is chosen here.
+MOST_NODES = 1_500_000
 #: Learning windows; more cost time and change the numbers by less than their own error.
-MOST_WINDOWS = 400
+MOST_WINDOWS = 300
 
 
 @dataclass(frozen=True)
@@ -177,8 +186,10 @@ class _Axes:
     def over(lines: Lines, spacing: float | tuple[float, float] | None) -> _Axes:
         east, north = lines.scale_m()
         if spacing is None:
-            quarter = line_spacing_m(lines) / 4
-            sx, sy = quarter / east, quarter / north
+            # An eighth of the gap lets a feature be placed within it; a country is gridded more coarsely.
+            area = np.ptp(lines.x) * east * np.ptp(lines.y) * north
+            step = max(line_spacing_m(lines) / 8, float(np.sqrt(area / MOST_NODES)))
+            sx, sy = step / east, step / north
         else:
             sx, sy = np.broadcast_to(np.asarray(spacing, dtype=float), 2)
         if not (sx > 0 and sy > 0):
@@ -382,8 +393,8 @@ def learn_errors(
 
     A `folds`-th of the lines is left out at a time (neighbouring lines in different folds), the others are gridded, and the left-out
     lines are compared with that map: sample by sample for the size of the errors, window by window (40 samples 0.6 line
-    spacings apart, started up to 4 spacings away) for correlation and registration, which are those whose declared risks
-    have the least log loss. Nothing is tuned by hand and nothing but the lines goes in.
+    spacings apart, started up to 4 spacings away) for the correlation, which is the one whose declared risks have the least
+    log loss. Nothing is tuned by hand and nothing but the lines goes in.
 
     `spacing` (map units) is that of the map, `grid` a map whose axes are used instead. Raises `TooFewSamplesError` where
     fewer than 20 windows can be made. Source: geomag's own.
@@ -417,19 +428,30 @@ def learn_errors(
     law = _Law(_noise(pieces), 0.5 * spacing_m, axes.cell)
     a, b, c = (float(v) for v in _fit_sigma(residuals, gradient, curvature, distance, law))
     trials = _try_correlations(parts, law, (a, b, c), axes, spacing_m, rng, progress)
-    best = min(trials, key=lambda t: t["loss"])
+    best = min(trials, key=lambda t: t["total"])
     return ErrorModel(
         noise=law.noise,
-        floor=a,
-        displacement=b,
-        curvature=c,
+        floor=a * best["share"],
+        displacement=b * best["share"],
+        curvature=c * best["share"],
         correlation=best["correlation"],
-        registration=best["registration"],
+        registration=REGISTRATION,
         line_spacing_m=spacing_m,
         windows=sum(len(p.windows) for p in parts),
         loss=best["loss"],
         trials=trials,
     )
+
+
+def _layered(part: _Fold, law: _Law, abc: list[float]) -> tuple[GridMap, Array]:
+    """One fold's map with its sigma, and the distances where it is known."""
+    sigma = _sigma(part.gradient, part.curvature, part.distance, law, *abc)
+    known = np.isfinite(part.base.values) & np.isfinite(sigma)
+    layered = GridMap(
+        np.where(known, part.base.values, np.nan), part.base.x, part.base.y, geographic=part.base.geographic,
+        sigma=np.where(known, sigma, np.nan),
+    )
+    return layered, np.where(known, part.distance, np.nan)
 
 
 def _try_correlations(
@@ -443,31 +465,24 @@ def _try_correlations(
 ) -> list[dict[str, float]]:
     scale = (axes.cell_m[0] / axes.x[1], axes.cell_m[1] / axes.y[1])
     half = (4 * spacing_m / scale[0], 4 * spacing_m / scale[1])
-    tracks, truths, maps = [], [], []
+    tracks, truths = [], []
     for part in parts:
-        sigma = _sigma(part.gradient, part.curvature, part.distance, law, *abc)
-        known = np.isfinite(part.base.values) & np.isfinite(sigma)
-        xs, ys = axes.coordinates()
-        layered = GridMap(
-            np.where(known, part.base.values, np.nan), xs, ys, geographic=part.base.geographic,
-            sigma=np.where(known, sigma, np.nan),
-        )
-        maps.append((layered, np.where(known, part.distance, np.nan)))
         offsets = rng.uniform(-1, 1, (len(part.windows), 2)) * half
         tracks.append([Track(x - o[0], y - o[1], v) for (x, y, v), o in zip(part.windows, offsets, strict=True)])
         truths.append(offsets)
     tolerance_m = 0.5 * spacing_m
     report = progress if callable(progress) else None
     trials = []
-    total = len(CORRELATIONS) * len(REGISTRATIONS)
-    for correlation in CORRELATIONS:
-        for registration in REGISTRATIONS:
+    total = len(CORRELATIONS) * len(SHARES)
+    for share in SHARES:
+        maps = [_layered(part, law, [share * v for v in abc]) for part in parts]
+        for correlation in CORRELATIONS:
             losses = []
             for (layered, distance), some, offsets in zip(maps, tracks, truths, strict=True):
                 if not some:
                     continue
                 model = layered.with_error_model(
-                    nu=NU, scale_spread=SCALE_SPREAD, correlation=correlation, registration=registration,
+                    nu=NU, scale_spread=SCALE_SPREAD, correlation=correlation, registration=REGISTRATION,
                     distance_m=distance,
                 )
                 fixes = match_posterior_many(model, some, half_width=half, tolerance_m=tolerance_m)
@@ -478,9 +493,12 @@ def _try_correlations(
                     # Some hundred windows tell nothing of risks below one in a hundred.
                     risk = float(np.clip(fix.risk, 1e-2, 1 - 1e-2))
                     losses.append(-np.log(risk if wrong else 1 - risk))
-            trials.append(
-                {"correlation": correlation, "registration": registration, "loss": float(np.mean(losses))}
-            )
+            unlikely = 0.5 * (np.log(correlation / CORRELATION_PRIOR[0]) / CORRELATION_PRIOR[1]) ** 2
+            unlikely += 0.5 * (np.log(share / SHARE_PRIOR[0]) / SHARE_PRIOR[1]) ** 2
+            trials.append({
+                "correlation": correlation, "share": share, "loss": float(np.mean(losses)),
+                "total": float(np.sum(losses) + unlikely),
+            })
             if report is not None:
                 report(len(trials), total)
     return trials
@@ -526,7 +544,8 @@ def map_from_lines(
     Parameters
     ----------
     lines : the survey (see `Lines`, `read_lines`).
-    spacing : node spacing in map units, one number or (x, y); a quarter of the line spacing by default.
+    spacing : node spacing in map units, one number or (x, y); an eighth of the line spacing by default, coarser for a
+        map of over 1.5 million nodes.
     grid : a map already made from these lines; it is kept as it is and given its errors.
     method : 'minimum_curvature' (needs NumPy alone), 'linear' or 'cubic' on Delaunay triangles (needs SciPy).
     max_distance_m : nodes further from any datum are holes; 2.5 line spacings by default.

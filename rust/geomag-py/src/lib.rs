@@ -34,7 +34,9 @@ mod _geomag {
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
     #[pymodule_export]
-    use crate::posterior::{match_posterior, match_posterior_many};
+    use crate::posterior::{
+        PyPosteriorMatcher, PyPosteriorStep, PyPrediction, match_posterior, match_posterior_many, predict_many,
+    };
     #[pymodule_export]
     use crate::track::PyTrack;
 

@@ -21,9 +21,13 @@ mod decide;
 mod kernel;
 mod model;
 mod patch;
+mod predict;
 mod search;
+mod streaming;
 
 pub use model::{Channel, PosteriorOptions};
+pub use predict::{Prediction, predict, predict_many};
+pub use streaming::{PosteriorMatcher, PosteriorStep};
 
 use crate::error::Result;
 use crate::field::Field;
