@@ -251,10 +251,9 @@ impl GridMap {
                 format!("{} values", values.len()),
             ));
         }
-        let (x, reverse_columns) = if geographic {
-            Axis::from_coordinates("x", &unwrap_longitudes(x), resolution)?
-        } else {
-            Axis::from_coordinates("x", x, resolution)?
+        let (x, reverse_columns) = match Axis::from_coordinates("x", x, resolution) {
+            Err(Error::Invalid { .. }) if geographic => Axis::from_coordinates("x", &unwrap_longitudes(x), resolution)?,
+            other => other?,
         };
         let (y, reverse_rows) = Axis::from_coordinates("y", y, resolution)?;
         values.flip(x.len(), reverse_rows, reverse_columns);

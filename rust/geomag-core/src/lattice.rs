@@ -28,6 +28,8 @@ use crate::track::Track;
 pub const DEFAULT_MAX_CANDIDATES: u64 = 1 << 28;
 /// Finest lattice, in steps per map cell, that the fast path serves.
 const MAX_CLASSES: usize = 16;
+/// Offset-samples below which waking other threads costs more than it saves.
+const SERIAL: usize = 1 << 16;
 /// Rows and columns of a tile: its sums and its part of the map stay in the first-level cache.
 const TILE_ROWS: usize = 8;
 const TILE_COLUMNS: usize = 256;
@@ -52,9 +54,9 @@ impl OffsetLattice {
         for (d, axis) in ["x", "y"].iter().enumerate() {
             require_not_negative(&format!("half_width {axis}"), half_width[d])?;
             require_positive(&format!("step {axis}"), step[d])?;
-            let ratio = half_width[d] / step[d];
+            let ratio = (half_width[d] / step[d]).min(f64::MAX);
             let cells = (ratio - 1e-9 * ratio.max(1.0)).ceil().max(0.0);
-            sizes[d] = 2 * cells as u128 + 1;
+            sizes[d] = (cells as u128).saturating_mul(2).saturating_add(1);
             half[d] = cells as usize;
         }
         let needed = sizes[0].saturating_mul(sizes[1]);
@@ -411,6 +413,17 @@ impl<'a> Comparison<'a> {
         self
     }
 
+    /// The same comparison at one offset alone, map units, on the lattice or off it.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`] for an offset that is no number.
+    pub fn at_offset(&self, offset: [f64; 2]) -> Result<Self> {
+        crate::error::require_finite("offset", &offset)?;
+        let lattice = OffsetLattice { half: [0; 2], step: self.lattice.step };
+        let points = self.points.iter().map(|p| [p[0] + offset[0], p[1] + offset[1]]).collect();
+        Ok(Self { lattice, points, ..self.clone() })
+    }
+
     /// Map value of sample `k` under the offset of a row and column, sampled on its own.
     pub fn map_value(&self, k: usize, row: usize, column: usize) -> f64 {
         let [ox, oy] = self.lattice.offset(row, column);
@@ -509,35 +522,34 @@ impl<'a> Comparison<'a> {
         let width = columns.len();
         let total = rows.len() as u64;
         let done = std::sync::atomic::AtomicU64::new(0);
-        out.par_chunks_mut(width.max(1)).enumerate().try_for_each_init(
-            || (vec![0.0; n * width.min(TILE_COLUMNS)], Vec::with_capacity(n), Vec::with_capacity(n)),
-            |(block, known, values), (i, out_row)| {
-                let row = rows.start + i;
-                for tile in (0..width).step_by(TILE_COLUMNS) {
-                    let tile = tile..(tile + TILE_COLUMNS).min(width);
-                    let w = tile.len();
+        let work = |(block, known, values): &mut (Vec<f64>, Vec<usize>, Vec<f64>), i: usize, out_row: &mut [f64]| {
+            let row = rows.start + i;
+            for tile in (0..width).step_by(TILE_COLUMNS) {
+                let tile = tile..(tile + TILE_COLUMNS).min(width);
+                let w = tile.len();
+                for k in 0..n {
+                    self.map_row(k, row, columns.start + tile.start, &mut block[k * w..(k + 1) * w]);
+                }
+                for (c, out) in out_row[tile].iter_mut().enumerate() {
+                    known.clear();
+                    values.clear();
                     for k in 0..n {
-                        self.map_row(k, row, columns.start + tile.start, &mut block[k * w..(k + 1) * w]);
+                        let m = block[k * w + c];
+                        if !m.is_nan() {
+                            known.push(k);
+                            values.push(m);
+                        }
                     }
-                    for (c, out) in out_row[tile].iter_mut().enumerate() {
-                        known.clear();
-                        values.clear();
-                        for k in 0..n {
-                            let m = block[k * w + c];
-                            if !m.is_nan() {
-                                known.push(k);
-                                values.push(m);
-                            }
-                        }
-                        if known.len() >= self.min_samples {
-                            *out = score(values, known);
-                        }
+                    if known.len() >= self.min_samples {
+                        *out = score(values, known);
                     }
                 }
-                let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-                monitor.advance(finished, total)
-            },
-        )
+            }
+            let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            monitor.advance(finished, total)
+        };
+        let scratch = || (vec![0.0; n * width.min(TILE_COLUMNS)], Vec::with_capacity(n), Vec::with_capacity(n));
+        for_each_chunk(out, width.max(1), n, scratch, work)
     }
 
     /// Map values of sample `k` for one row of offsets, columns from `first`; NaN where unknown.
@@ -554,9 +566,9 @@ impl<'a> Comparison<'a> {
         for class in 0..qx.min(out.len()) {
             let start = [first as i64 - half[0] as i64, row as i64 - half[1] as i64];
             let shift = classes.shift(position, start, [class, 0]);
-            let columns = (out.len() - class).div_ceil(qx);
-            for j in 0..columns {
-                out[class + j * qx] = value_at(grid, &shift, 0, j);
+            match grid.values() {
+                GridValues::F64(v) => dispatch(Row { values: v, grid, shift, out, first: class, stride: qx }),
+                GridValues::F32(v) => dispatch(Row { values: v, grid, shift, out, first: class, stride: qx }),
             }
         }
     }
@@ -584,52 +596,116 @@ impl<'a> Comparison<'a> {
         let bands = rows.len().div_ceil(band_rows) as u64;
         let done = std::sync::atomic::AtomicU64::new(0);
         let half = self.lattice.half.map(|h| h as i64);
-        out.par_chunks_mut(band_rows * width.max(1)).enumerate().try_for_each_init(
-            || (TileSums::<T>::default(), Vec::with_capacity(positions.len())),
-            |(sums, shifts), (band, out_band)| {
-                let first_row = rows.start + band * band_rows;
-                let band_height = out_band.len() / width;
-                for cy in 0..qy.min(band_height) {
-                    let tile_rows = (band_height - cy).div_ceil(qy);
-                    for cx in 0..qx.min(width) {
-                        let class_columns = (width - cx).div_ceil(qx);
-                        let first = [columns.start as i64 - half[0], first_row as i64 - half[1]];
-                        shifts.clear();
-                        shifts.extend(positions.iter().map(|&p| classes.shift(p, first, [cx, cy])));
-                        for start in (0..class_columns).step_by(TILE_COLUMNS) {
-                            let tile = Tile {
-                                values,
-                                map_rows: grid.y().len(),
-                                map_columns: grid.x().len(),
-                                holes: grid.holes() > 0,
-                                shifts,
-                                measured: &measured,
-                                weights: weights.as_deref(),
-                                first_column: start as i64,
-                                rows: tile_rows,
-                                columns: TILE_COLUMNS.min(class_columns - start),
-                            };
-                            let full = tile.sum(measure, sums);
-                            for r in 0..tile_rows {
-                                for c in 0..tile.columns {
-                                    let (count, weight) = if full {
-                                        (sums.count(r, c), sums.weight(r, c))
-                                    } else {
-                                        (self.points.len() as f64, total_weight)
-                                    };
-                                    if count >= self.min_samples as f64 && weight > 0.0 {
-                                        let at = (cy + r * qy) * width + cx + (start + c) * qx;
-                                        out_band[at] = measure.finish(sums.sums::<M>(r, c, full), weight, full);
-                                    }
+        let work = |(sums, shifts): &mut (TileSums<T>, Vec<Shift>), band: usize, out_band: &mut [f64]| {
+            let first_row = rows.start + band * band_rows;
+            let band_height = out_band.len() / width;
+            for cy in 0..qy.min(band_height) {
+                let tile_rows = (band_height - cy).div_ceil(qy);
+                for cx in 0..qx.min(width) {
+                    let class_columns = (width - cx).div_ceil(qx);
+                    let first = [columns.start as i64 - half[0], first_row as i64 - half[1]];
+                    shifts.clear();
+                    shifts.extend(positions.iter().map(|&p| classes.shift(p, first, [cx, cy])));
+                    for start in (0..class_columns).step_by(TILE_COLUMNS) {
+                        let tile = Tile {
+                            values,
+                            map_rows: grid.y().len(),
+                            map_columns: grid.x().len(),
+                            holes: grid.holes() > 0,
+                            shifts,
+                            measured: &measured,
+                            weights: weights.as_deref(),
+                            first_column: start as i64,
+                            rows: tile_rows,
+                            columns: TILE_COLUMNS.min(class_columns - start),
+                        };
+                        let full = tile.sum(measure, sums);
+                        for r in 0..tile_rows {
+                            for c in 0..tile.columns {
+                                let (count, weight) = if full {
+                                    (sums.count(r, c), sums.weight(r, c))
+                                } else {
+                                    (self.points.len() as f64, total_weight)
+                                };
+                                if count >= self.min_samples as f64 && weight > 0.0 {
+                                    let at = (cy + r * qy) * width + cx + (start + c) * qx;
+                                    out_band[at] = measure.finish(sums.sums::<M>(r, c, full), weight, full);
                                 }
                             }
                         }
                     }
                 }
-                let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-                monitor.advance(finished, bands)
-            },
-        )
+            }
+            let finished = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            monitor.advance(finished, bands)
+        };
+        let scratch = || (TileSums::<T>::default(), Vec::with_capacity(positions.len()));
+        for_each_chunk(out, band_rows * width.max(1), positions.len(), scratch, work)
+    }
+}
+
+/// Fills `out` chunk by chunk, on all threads where there is enough to do; every chunk is computed alike on any thread.
+fn for_each_chunk<S>(
+    out: &mut [f64],
+    chunk: usize,
+    samples: usize,
+    scratch: impl Fn() -> S + Send + Sync,
+    work: impl Fn(&mut S, usize, &mut [f64]) -> Result<()> + Send + Sync,
+) -> Result<()> {
+    if out.len().saturating_mul(samples) < SERIAL {
+        let mut scratch = scratch();
+        return out.chunks_mut(chunk).enumerate().try_for_each(|(i, part)| work(&mut scratch, i, part));
+    }
+    out.par_chunks_mut(chunk).enumerate().try_for_each_init(scratch, |scratch, (i, part)| work(scratch, i, part))
+}
+
+/// Map values of one sample under one row of one class of offsets, into every `stride`-th place of `out`.
+struct Row<'a, T> {
+    values: &'a [T],
+    grid: &'a GridMap,
+    shift: Shift,
+    out: &'a mut [f64],
+    first: usize,
+    stride: usize,
+}
+
+impl<T: Real> Kernel for Row<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call<const FUSED: bool>(self) {
+        let Self { values, grid, shift, out, first, stride } = self;
+        let columns = (out.len() - first).div_ceil(stride);
+        let [dx, dy] = shift.next();
+        let (map_rows, map_columns) = (grid.y().len() as i64, grid.x().len() as i64);
+        let on_map = shift.row >= 0 && shift.row + dy < map_rows;
+        let begin = (-shift.column).clamp(0, columns as i64);
+        let end = if on_map { (map_columns - dx - shift.column).clamp(begin, columns as i64) } else { begin };
+        let (begin, end) = (begin as usize, end as usize);
+        for j in (0..begin).chain(end..columns) {
+            out[first + j * stride] = f64::NAN;
+        }
+        if begin == end {
+            return;
+        }
+        let lower = (shift.row * map_columns + shift.column + begin as i64) as usize;
+        let upper = lower + (dy * map_columns) as usize;
+        let n = end - begin;
+        let at = |start: usize| &values[start..start + n];
+        let (a, b) = (at(lower), at(lower + dx as usize));
+        let (c, d) = (at(upper), at(upper + dx as usize));
+        let (tx, ty) = (shift.tx, shift.ty);
+        let mix = |p: f64, q: f64, t: f64| f64::fma::<FUSED>(q, t, p * (1.0 - t));
+        let out = &mut out[first + begin * stride..];
+        if stride == 1 {
+            for j in 0..n {
+                out[j] = mix(mix(a[j].to_f64(), b[j].to_f64(), tx), mix(c[j].to_f64(), d[j].to_f64(), tx), ty);
+            }
+        } else {
+            for j in 0..n {
+                out[j * stride] = mix(mix(a[j].to_f64(), b[j].to_f64(), tx), mix(c[j].to_f64(), d[j].to_f64(), tx), ty);
+            }
+        }
     }
 }
 

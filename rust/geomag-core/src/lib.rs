@@ -9,6 +9,7 @@
 //! Conventions: x to the east, y to the north, metres on projected maps, degrees of longitude and latitude on geographic
 //! ones. Values in the map's unit. An *offset* is true minus indicated position.
 
+pub mod campaign;
 pub mod constants;
 pub mod error;
 pub mod field;
@@ -16,9 +17,13 @@ pub mod fix;
 pub mod frame;
 pub mod grid;
 pub mod gridding;
+pub mod harmonic;
+pub mod kalman;
 pub mod lattice;
 pub mod map_error;
 pub mod matching;
 pub mod monitor;
+pub mod navigation;
 pub mod state;
+pub mod synthetic;
 pub mod track;

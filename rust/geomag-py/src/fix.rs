@@ -8,7 +8,10 @@ use crate::arrays::{points, shaped};
 use crate::error::PyRes;
 use crate::state;
 
-/// A position answer with its quality.
+/// A position answer with its quality; every matcher returns one.
+///
+/// Use it only where `ok` is true; otherwise `status` says why not: searching, ambiguous, at_edge, lost, uninformative,
+/// not_converged, rejected. An offset is true minus indicated position: what the fix adds to the INS.
 #[pyclass(frozen, name = "Fix", module = "geomag")]
 pub struct PyFix {
     /// The answer.
@@ -23,91 +26,109 @@ impl From<Fix> for PyFix {
 
 #[pymethods]
 impl PyFix {
+    /// Corrected newest position, map units (longitudes on the map's own turn).
     #[getter]
     fn x(&self) -> f64 {
         self.inner.x
     }
 
+    /// Corrected newest position, map units.
     #[getter]
     fn y(&self) -> f64 {
         self.inner.y
     }
 
+    /// Offset (x, y) at the newest point, map units.
     #[getter]
     fn offset(&self) -> (f64, f64) {
         self.inner.offset.into()
     }
 
+    /// Offset (east, north) at the newest point, metres.
     #[getter]
     fn offset_m(&self) -> (f64, f64) {
         self.inner.offset_m.into()
     }
 
+    /// Heading correction, degrees, clockwise.
     #[getter]
     fn heading_deg(&self) -> f64 {
         self.inner.heading_deg
     }
 
+    /// Scale correction: true over indicated distance.
     #[getter]
     fn scale(&self) -> f64 {
         self.inner.scale
     }
 
+    /// Estimated constant of the measurement, measured minus map; None where the method estimates none.
     #[getter]
     fn bias(&self) -> Option<f64> {
         self.inner.bias
     }
 
+    /// Covariance (2, 2) of the position, square metres, east-north; None where the method has none.
     #[getter]
     fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         self.inner.covariance_m2.map(|c| shaped(py, c.concat(), &[2, 2])).transpose()
     }
 
+    /// Declared probability that the error is beyond the tolerance; None where the method has none.
     #[getter]
     fn risk(&self) -> Option<f64> {
         self.inner.risk
     }
 
+    /// p-value of the residuals under the model; None where the method has no such test.
     #[getter]
     fn goodness(&self) -> Option<f64> {
         self.inner.goodness
     }
 
+    /// One of fixed, searching, ambiguous, at_edge, lost, uninformative, not_converged, rejected.
     #[getter]
     fn status(&self) -> &'static str {
         self.inner.status.as_str()
     }
 
+    /// True only where the fix may be used.
     #[getter]
     fn ok(&self) -> bool {
         self.inner.ok()
     }
 
+    /// Score of the answer in the measure's own sense.
     #[getter]
     fn score(&self) -> f64 {
         self.inner.score
     }
 
+    /// Best score away from the answer; NaN where there is none.
     #[getter]
     fn runner_up(&self) -> f64 {
         self.inner.runner_up
     }
 
+    /// Samples that the answer rests on.
     #[getter]
     fn n_samples(&self) -> usize {
         self.inner.n_samples
     }
 
+    /// Iterations taken; 1 for direct methods.
     #[getter]
     fn iterations(&self) -> usize {
         self.inner.iterations
     }
 
+    /// Corrected points (n, 2), oldest first, map units.
     #[getter]
     fn track<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         points(py, &self.inner.track)
     }
 
+    /// Scores (rows = y offset ascending, columns = x offset ascending), NaN where there is none; None if not asked for.
     #[getter]
     fn surface<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         self.inner.surface.as_ref().map(|s| shaped(py, s.values.clone(), &[s.rows, s.columns])).transpose()

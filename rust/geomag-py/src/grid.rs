@@ -12,6 +12,7 @@ use pyo3::types::{PyDict, PyTuple};
 
 use crate::arrays::{broadcast, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
+use crate::harmonic::PyHarmonicMap;
 
 /// Reads the name of an interpolation.
 pub fn interpolation(name: &str) -> PyRes<Interpolation> {
@@ -23,6 +24,41 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 }
 
 /// A regular grid of field values: the stored map that matchers compare with.
+///
+/// For regular maps in metres (projected) or degrees (geographic). Not for scattered data: grid it first (see
+/// `geomag.survey`).
+///
+/// Parameters
+/// ----------
+/// values : array of shape (len(y), len(x))
+///     Field values, row = y, column = x; float32 stays float32, anything else becomes float64. NaN is a hole.
+/// x, y : arrays
+///     Evenly spaced coordinates, in either direction: metres east and north, or degrees of longitude and latitude.
+///     Longitudes may jump by 360 where the map crosses the date line.
+/// geographic : bool
+///     Whether the coordinates are degrees.
+/// sigma : float or array of the shape of values, optional
+///     Standard deviation of the stored values against the true field, value units.
+/// name, units, crs : str, optional
+///     Carried along.
+///
+/// Raises
+/// ------
+/// ShapeError, InvalidInputError (uneven axes, latitudes beyond the poles), NotFiniteError (infinite values)
+///
+/// Notes
+/// -----
+/// Stored once, with both axes ascending, and shared by every matcher made from it. Between nodes the map is bilinear
+/// or, on request, cubic convolution (Keys 1981, doi 10.1109/TASSP.1981.1163711).
+///
+/// Examples
+/// --------
+/// >>> import geomag
+/// >>> grid = geomag.GridMap([[0.0, 1.0], [10.0, 11.0]], x=[0, 100], y=[0, 100])
+/// >>> grid.sample(50, 50)
+/// 5.5
+/// >>> grid.gradient(50, 50)
+/// (0.01, 0.1)
 #[pyclass(frozen, name = "GridMap", module = "geomag", weakref)]
 pub struct PyGridMap {
     /// The map, shared with every matcher made from it.
@@ -30,6 +66,13 @@ pub struct PyGridMap {
     name: Option<String>,
     units: Option<String>,
     crs: Option<String>,
+}
+
+impl PyGridMap {
+    /// A map made on the Rust side.
+    pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
+        Self { inner: Arc::new(inner), name, units, crs }
+    }
 }
 
 /// Values of a NumPy array in their own precision, row-major, with the shape.
@@ -112,6 +155,7 @@ impl PyGridMap {
         Ok(Self { inner: Arc::new(inner), name, units, crs })
     }
 
+    /// Make a map of a two-dimensional xarray.DataArray; see `geomag.io.grid_from_xarray` for the options.
     #[staticmethod]
     #[pyo3(signature = (data_array, **options))]
     fn from_xarray<'py>(
@@ -122,20 +166,24 @@ impl PyGridMap {
         Ok(module.getattr("grid_from_xarray")?.call((data_array,), options)?)
     }
 
+    /// The map as an xarray.DataArray.
     fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyRes<Bound<'py, PyAny>> {
         Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
     }
 
+    /// x of the columns (east), ascending, map units.
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         axis_array(py, self.inner.x())
     }
 
+    /// y of the rows (north), ascending, map units.
     #[getter]
     fn y<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         axis_array(py, self.inner.y())
     }
 
+    /// A copy of the values: row = y ascending, column = x ascending.
     #[getter]
     fn values<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let shape = [self.inner.y().len(), self.inner.x().len()];
@@ -148,6 +196,7 @@ impl PyGridMap {
         }
     }
 
+    /// Standard deviation of the values: None, a number, or an array laid out as the values.
     #[getter]
     fn sigma<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         match self.inner.map_sigma() {
@@ -200,16 +249,19 @@ impl PyGridMap {
         Ok(Some(out))
     }
 
+    /// (rows, columns).
     #[getter]
     fn shape(&self) -> (usize, usize) {
         (self.inner.y().len(), self.inner.x().len())
     }
 
+    /// Spacing (x, y), map units.
     #[getter]
     fn spacing(&self) -> (f64, f64) {
         (self.inner.x().step(), self.inner.y().step())
     }
 
+    /// Spacing (east, north) at the middle of the map, metres.
     #[getter]
     fn spacing_m(&self) -> (f64, f64) {
         let y = 0.5 * (self.inner.y().first() + self.inner.y().last());
@@ -217,41 +269,49 @@ impl PyGridMap {
         (self.inner.x().step() * east, self.inner.y().step() * north)
     }
 
+    /// Whether coordinates are degrees of longitude and latitude.
     #[getter]
     fn geographic(&self) -> bool {
         self.inner.geographic()
     }
 
+    /// Number of NaN nodes.
     #[getter]
     fn holes(&self) -> usize {
         self.inner.holes()
     }
 
+    /// Mean of the values that are not NaN.
     #[getter]
     fn mean(&self) -> f64 {
         self.inner.mean()
     }
 
+    /// Name of the field, where known.
     #[getter]
     fn name(&self) -> Option<&str> {
         self.name.as_deref()
     }
 
+    /// Unit of the values, where known.
     #[getter]
     fn units(&self) -> Option<&str> {
         self.units.as_deref()
     }
 
+    /// Coordinate reference system as text, where known.
     #[getter]
     fn crs(&self) -> Option<&str> {
         self.crs.as_deref()
     }
 
+    /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
     fn metres_per_unit(&self, y: f64) -> (f64, f64) {
         let [east, north] = self.inner.metres_per_unit(y);
         (east, north)
     }
 
+    /// Values at points; arrays of any shape are broadcast. NaN off the map and next to holes.
     #[pyo3(signature = (x, y, *, method = "bilinear"))]
     fn sample<'py>(
         &self,
@@ -266,6 +326,7 @@ impl PyGridMap {
         shaped(py, values, &shape)
     }
 
+    /// Gradient (east, north) per metre at points, analytic; NaN off the map and next to holes.
     #[pyo3(signature = (x, y, *, method = "bilinear"))]
     fn gradient<'py>(
         &self,
@@ -286,6 +347,7 @@ impl PyGridMap {
         Ok((shaped(py, east, &shape)?, shaped(py, north, &shape)?))
     }
 
+    /// Least and greatest bilinear value within half_width (x, y) of points; NaN where any of it is unknown.
     #[pyo3(signature = (x, y, *, half_width))]
     fn bounds<'py>(
         &self,
@@ -387,5 +449,8 @@ pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
     if let Ok(grid) = object.cast::<PyGridMap>() {
         return Ok(grid.get().inner.clone());
     }
-    Err(invalid("grid", "a geomag.GridMap", object.get_type().name()?))
+    if let Ok(map) = object.cast::<PyHarmonicMap>() {
+        return Ok(map.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap or HarmonicMap", object.get_type().name()?))
 }

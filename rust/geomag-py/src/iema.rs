@@ -140,7 +140,7 @@ impl PyIema {
 #[pymethods]
 impl PyIema {
     #[new]
-    #[pyo3(signature = (grid, *, sigma, half_width, tolerance = None, step = None, max_misses = 0, unknown = "keep",
+    #[pyo3(signature = (grid, sigma, half_width, tolerance = None, *, step = None, max_misses = 0, unknown = "keep",
                         gate = 3.0, max_candidates = DEFAULT_MAX_CANDIDATES))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
@@ -172,14 +172,14 @@ impl PyIema {
 
     /// Take one sample: indicated position (map units) and measured value. Returns an `IemaStep`.
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyIemaStep> {
-        let mut iema = self.lock();
-        let inner = if iema.n_feasible() > MANY {
+        let take = |mut iema: MutexGuard<'_, Iema>| iema.update(x, y, value).map(|step| (step, iema.field().clone()));
+        let iema = self.lock();
+        let (inner, field) = if iema.n_feasible() > MANY {
             drop(iema);
-            py.detach(|| self.lock().update(x, y, value))?
+            py.detach(|| take(self.lock()))?
         } else {
-            iema.update(x, y, value)?
+            take(iema)?
         };
-        let field = self.lock().field().clone();
         Ok(PyIemaStep { inner, field })
     }
 

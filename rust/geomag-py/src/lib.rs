@@ -11,20 +11,35 @@ use geomag_core::state;
 use pyo3::prelude::*;
 
 mod arrays;
+mod campaign;
+mod contour;
 mod error;
 mod fix;
+mod frame;
 mod grid;
 mod grid_search;
 mod gridding;
+mod harmonic;
 mod iema;
+mod ins_feedback;
+mod kalman;
 mod long_call;
+mod navigator;
 mod posterior;
+mod sequence;
+mod synthetic;
 mod track;
 
 #[pymodule(gil_used = false)]
 mod _geomag {
     #[pymodule_export]
+    use crate::campaign::{campaign_flight, campaign_rows};
+    #[pymodule_export]
+    use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
+    #[pymodule_export]
     use crate::fix::PyFix;
+    #[pymodule_export]
+    use crate::frame::PyLocalFrame;
     #[pymodule_export]
     use crate::grid::PyGridMap;
     #[pymodule_export]
@@ -32,11 +47,25 @@ mod _geomag {
     #[pymodule_export]
     use crate::gridding::{py_distance_to_data, py_minimum_curvature};
     #[pymodule_export]
+    use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
+    #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
+    #[pymodule_export]
+    use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
+    #[pymodule_export]
+    use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
     #[pymodule_export]
     use crate::posterior::{
         PyPosteriorMatcher, PyPosteriorStep, PyPrediction, match_posterior, match_posterior_many, predict_many,
     };
+    #[pymodule_export]
+    use crate::sequence::{
+        PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
+    };
+    #[pymodule_export]
+    use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]
     use crate::track::PyTrack;
 

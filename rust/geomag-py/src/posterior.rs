@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
-use geomag_core::matching::posterior::{
-    self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction,
-};
+use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
@@ -247,8 +245,20 @@ impl PyPosteriorMatcher {
     ) -> PyRes<Self> {
         let map = field(grid)?;
         let options = options(
-            half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
-            position_sigma_m, nu, min_overlap, min_goodness, max_candidates, false,
+            half_width,
+            step,
+            tolerance_m,
+            max_risk,
+            bias_sigma,
+            drift_sigma_m,
+            heading_sigma_deg,
+            scale_sigma,
+            position_sigma_m,
+            nu,
+            min_overlap,
+            min_goodness,
+            max_candidates,
+            false,
         )?;
         let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;
         Ok(Self { inner, grid: grid.clone().unbind() })
@@ -386,8 +396,20 @@ pub fn predict_many(
 ) -> PyRes<Vec<Option<PyPrediction>>> {
     let map = field(grid)?;
     let options = options(
-        half_width, None, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, 0.0, nu,
-        0.8, 1e-3, 4_000_000, false,
+        half_width,
+        None,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        0.0,
+        nu,
+        0.8,
+        1e-3,
+        4_000_000,
+        false,
     )?;
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
     let units = (tracks.len() * flights.max(1)) as u64 * 4_000_000;

@@ -9,7 +9,27 @@ use pyo3::types::PyTuple;
 use crate::arrays::{optional_vector, shaped, vector};
 use crate::error::{PyRes, invalid};
 
-/// The indicated track: positions as the INS gives them, with the measured values.
+/// The indicated track: positions as the INS gives them, with the measured values, oldest first.
+///
+/// Parameters
+/// ----------
+/// x, y : arrays of shape (n,), n >= 1
+///     Indicated positions, map units (metres, or degrees of longitude and latitude).
+/// values : array of shape (n,)
+///     Measured values, the map's unit.
+/// time_s : array of shape (n,), optional
+///     Times in seconds, not falling.
+///
+/// Raises
+/// ------
+/// TooFewSamplesError, ShapeError, NotFiniteError (naming the first bad sample), InvalidInputError
+///
+/// Examples
+/// --------
+/// >>> import geomag
+/// >>> track = geomag.Track([0.0, 30.0], [0.0, 40.0], [12.5, 13.0])
+/// >>> len(track), track.distance_m()[-1]
+/// (2, np.float64(50.0))
 #[pyclass(frozen, name = "Track", module = "geomag")]
 pub struct PyTrack {
     /// The samples.
@@ -35,26 +55,31 @@ impl PyTrack {
         Ok(Self { inner: Arc::new(track) })
     }
 
+    /// Indicated x, map units.
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.x().to_vec(), &[self.inner.len()])
     }
 
+    /// Indicated y, map units.
     #[getter]
     fn y<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.y().to_vec(), &[self.inner.len()])
     }
 
+    /// Measured values.
     #[getter]
     fn values<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.values().to_vec(), &[self.inner.len()])
     }
 
+    /// Times in seconds, or None.
     #[getter]
     fn time_s<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         self.inner.time_s().map(|t| shaped(py, t.to_vec(), &[t.len()])).transpose()
     }
 
+    /// Along-track distance of every sample from the first, metres.
     #[pyo3(signature = (*, geographic = false))]
     fn distance_m<'py>(&self, py: Python<'py>, geographic: bool) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.distance_m(geographic), &[self.inner.len()])

@@ -1,14 +1,13 @@
 //! Grid search: every offset of a lattice (and every heading and scale asked for) scored with a similarity measure.
 
-use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
 use crate::fix::{Fix, Status, Surface};
-use crate::frame::displacement_m;
 use crate::grid::Interpolation;
 use crate::lattice::{Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Pivot, place_track};
+use crate::matching::local_fit::LocalFit;
 use crate::matching::similarity::{Criterion, Robust, Scoring};
 use crate::monitor::Monitor;
 use crate::track::Track;
@@ -110,6 +109,17 @@ impl GridSearch {
     }
 }
 
+/// A candidate refined below the lattice step.
+#[derive(Debug, Clone, Copy)]
+struct Refined {
+    /// Offset, map units.
+    offset: [f64; 2],
+    /// Score of the candidate itself.
+    on_lattice: f64,
+    /// The lesser of that and the score at the refined offset.
+    least: f64,
+}
+
 /// The winner among all candidates.
 #[derive(Debug, Clone, Copy)]
 struct Best {
@@ -155,28 +165,10 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         )
     };
 
-    // The surface over offsets is the best over headings and scales; the placement behind each score is kept beside it.
-    let mut surface: Vec<f64> = Vec::new();
-    let mut chosen: Vec<u32> = Vec::new();
-    for placement in 0..placements.len() {
+    let (mut surface, chosen) = search_surface(&placements, &lattice, monitor, |placement, part| {
         let comparison = compare(placement, search.interpolation)?;
-        let part = PartOf { inner: monitor, index: placement as u64, of: placements.len() as u64 };
-        let scores =
-            scoring.scores(&comparison, field.mean(), &distance_m, 0..lattice.rows(), 0..lattice.columns(), &part)?;
-        if placement == 0 {
-            surface = scores;
-            if placements.len() > 1 {
-                chosen = vec![0; surface.len()];
-            }
-        } else {
-            for ((best, chosen), score) in surface.iter_mut().zip(&mut chosen).zip(scores) {
-                if score < *best || best.is_nan() && !score.is_nan() {
-                    *best = score;
-                    *chosen = placement as u32;
-                }
-            }
-        }
-    }
+        scoring.scores(&comparison, field.mean(), &distance_m, 0..lattice.rows(), 0..lattice.columns(), part)
+    })?;
     let columns = lattice.columns();
     let Some(best) = least(&surface, columns, |_, _| true) else {
         return no_score(field, track, search, &lattice);
@@ -188,12 +180,27 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         (row as f64 - best.row as f64).abs() > away[1] || (column as f64 - best.column as f64).abs() > away[0]
     });
 
-    let comparison = compare(best.placement, search.interpolation)?;
-    let around = Neighbourhood::new(&scoring, &comparison, field.mean(), &distance_m, best, monitor)?;
     let edge = lattice.on_border(best.row, best.column);
-    let shift = if search.refine && !edge { around.vertex() } else { [0.0; 2] };
-    let [ox, oy] = lattice.offset(best.row, best.column);
-    let offset = [ox + shift[0] * step[0], oy + shift[1] * step[1]];
+    let refine = |candidate: Best| -> Result<Refined> {
+        let comparison = compare(candidate.placement, search.interpolation)?;
+        let around = Neighbourhood::new(&scoring, &comparison, field.mean(), &distance_m, candidate, monitor)?;
+        let border = lattice.on_border(candidate.row, candidate.column);
+        let shift = if search.refine && !border { around.vertex() } else { [0.0; 2] };
+        let [ox, oy] = lattice.offset(candidate.row, candidate.column);
+        let offset = [ox + shift[0] * step[0], oy + shift[1] * step[1]];
+        let there = scoring.scores(&comparison.at_offset(offset)?, field.mean(), &distance_m, 0..1, 0..1, monitor)?[0];
+        let on_lattice = around.centre();
+        Ok(Refined { offset, on_lattice, least: if there < on_lattice { there } else { on_lattice } })
+    };
+    let refined = refine(best)?;
+    // The runner-up is refined as the best is: one lattice point compared with a minimum would always lose.
+    let rival = runner_up
+        .map(|r| {
+            let placement = chosen.get(r.row * columns + r.column).map_or(0, |&p| p as usize);
+            refine(Best { placement, ..r })
+        })
+        .transpose()?;
+    let offset = refined.offset;
     let (heading_deg, scale) = placements[best.placement];
 
     let points = place_track(field, track, heading_deg, scale, search.pivot);
@@ -207,12 +214,11 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         })
         .collect();
     let fit = LocalFit::new(field, track, search, &moved, &placements);
-    let best_score = around.centre();
     let status = if edge {
         Status::AtEdge
     } else if fit.uninformative(field, &lattice, newest[1]) {
         Status::Uninformative
-    } else if runner_up.is_some_and(|r| search.ambiguous(best_score, r.score, fit.samples)) {
+    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, spread(track.values()))) {
         Status::Ambiguous
     } else {
         Status::Fixed
@@ -222,7 +228,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     fix.scale = scale;
     fix.bias = fit.bias;
     fix.covariance_m2 = fit.covariance_m2;
-    fix.score = search.criterion.natural(best_score);
+    fix.score = search.criterion.natural(refined.on_lattice);
     fix.runner_up = runner_up.map_or(f64::NAN, |r| search.criterion.natural(r.score));
     fix.n_samples = fit.samples;
     fix.track = moved;
@@ -236,23 +242,64 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     Ok(fix)
 }
 
+/// The best score over headings and scales at every offset, and which of them it came from (empty where there is one).
+fn search_surface(
+    placements: &[(f64, f64)],
+    lattice: &OffsetLattice,
+    monitor: &dyn Monitor,
+    score: impl Fn(usize, &dyn Monitor) -> Result<Vec<f64>>,
+) -> Result<(Vec<f64>, Vec<u32>)> {
+    let part = |placement: usize| PartOf { inner: monitor, index: placement as u64, of: placements.len() as u64 };
+    let mut surface = score(0, &part(0))?;
+    if placements.len() == 1 {
+        return Ok((surface, Vec::new()));
+    }
+    let mut chosen = vec![0_u32; lattice.len()];
+    for placement in 1..placements.len() {
+        let scores = score(placement, &part(placement))?;
+        for ((best, chosen), score) in surface.iter_mut().zip(&mut chosen).zip(scores) {
+            if score < *best || best.is_nan() && !score.is_nan() {
+                *best = score;
+                *chosen = placement as u32;
+            }
+        }
+    }
+    Ok((surface, chosen))
+}
+
 impl GridSearch {
     /// Whether a runner-up is too near. With a noise model: its likelihood, half of the samples counted as independent
     /// (their errors are not), is more than `ambiguity` of the best's. Without: its score is within a twentieth.
-    fn ambiguous(&self, best: f64, runner_up: f64, samples: usize) -> bool {
+    ///
+    /// Where the noise is estimated it is taken to be at least a millionth of the `spread` of the readings, so that the
+    /// rounding of two perfect fits does not choose between them.
+    fn ambiguous(&self, best: f64, runner_up: f64, samples: usize, spread: f64) -> bool {
         let n = 0.5 * samples as f64;
+        let least = 1e-6 * spread;
+        let ratio = |floor: f64| ((runner_up + floor) / (best + floor)).ln();
         let log_ratio = match (self.criterion, self.robust, self.sigma) {
             (Criterion::Prod, _, _) => return -runner_up > 0.95 * -best,
             (Criterion::Hausdorff { .. }, _, _) => return runner_up < 1.05 * best,
             (Criterion::Msd, Some(Robust::StudentT { .. }), _) => 0.5 * n * (runner_up - best),
             (Criterion::Msd, None, Some(sigma)) => 0.5 * n * (runner_up - best) / (sigma * sigma),
-            (Criterion::Msd, _, _) => 0.5 * n * (runner_up / best).ln(),
-            (Criterion::Mad, _, _) => n * (runner_up / best).ln(),
-            (Criterion::Ncc, _, _) => 0.5 * n * ((1.0 - runner_up * runner_up.abs()) / (1.0 - best * best.abs())).ln(),
+            (Criterion::Msd, _, _) => 0.5 * n * ratio(least * least),
+            (Criterion::Mad, _, _) => n * ratio(least),
+            (Criterion::Ncc, _, _) => {
+                // Inner scores are negated correlations.
+                let unexplained = |score: f64| 1.0 + score * score.abs() + 1e-12;
+                0.5 * n * (unexplained(runner_up) / unexplained(best)).ln()
+            }
         };
         // Written so that 0 / 0, two perfect fits, is ambiguous.
         !(log_ratio >= -self.ambiguity.ln())
     }
+}
+
+/// Standard deviation of the readings.
+fn spread(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
 }
 
 /// Progress of one placement as part of the whole.
@@ -368,151 +415,4 @@ impl Neighbourhood {
         }
         [alone(gx, hx), alone(gy, hy)]
     }
-}
-
-/// Noise and curvature at the answer.
-struct LocalFit {
-    samples: usize,
-    bias: Option<f64>,
-    covariance_m2: Option<[[f64; 2]; 2]>,
-    /// Covariance without a noise level: the inverse of the curvature.
-    flat: bool,
-}
-
-impl LocalFit {
-    /// Gauss-Newton at the matched points over east, north and whatever else was searched: heading, scale, constant,
-    /// and for the correlation coefficient the gain.
-    fn new(
-        field: &dyn Field,
-        track: &Track,
-        search: &GridSearch,
-        moved: &[[f64; 2]],
-        placements: &[(f64, f64)],
-    ) -> Self {
-        let free_mean = search.remove_mean || search.criterion == Criterion::Ncc;
-        let gain = search.criterion == Criterion::Ncc;
-        let turning = placements.iter().any(|p| p.0 != placements[0].0);
-        let stretching = placements.iter().any(|p| p.1 != placements[0].1);
-        let pivot = match search.pivot {
-            Pivot::Newest => moved[moved.len() - 1],
-            Pivot::Centroid => {
-                let n = moved.len() as f64;
-                [moved.iter().map(|p| p[0]).sum::<f64>() / n, moved.iter().map(|p| p[1]).sum::<f64>() / n]
-            }
-        };
-        let mut rows: Vec<(Vec<f64>, f64, f64)> = Vec::with_capacity(moved.len());
-        for (k, p) in moved.iter().enumerate() {
-            let (m, [east, north]) = field.value_and_gradient(p[0], p[1]);
-            if m.is_nan() || east.is_nan() || north.is_nan() {
-                continue;
-            }
-            let [e, n] = displacement_m(field.geographic(), pivot, *p);
-            let mut row = vec![east, north];
-            if turning {
-                row.push(east * n - north * e);
-            }
-            if stretching {
-                row.push(east * e + north * n);
-            }
-            if free_mean {
-                row.push(1.0);
-            }
-            if gain {
-                row.push(m - field.mean());
-            }
-            let weight = search.weights.as_ref().map_or(1.0, |w| w[k]);
-            rows.push((row, track.values()[k] - m, weight));
-        }
-        let samples = rows.len();
-        let total: f64 = rows.iter().map(|r| r.2).sum();
-        let mean = rows.iter().map(|r| r.1 * r.2).sum::<f64>() / total;
-        let bias = (search.remove_mean && total > 0.0).then_some(mean);
-        let parameters = rows.first().map_or(0, |r| r.0.len());
-        let none = Self { samples, bias, covariance_m2: None, flat: true };
-        if samples < parameters.max(2) || total <= 0.0 {
-            return none;
-        }
-        // Columns to unit norm: metres, radians and nanoteslas share one matrix.
-        let mut normal = DMatrix::<f64>::zeros(parameters, parameters);
-        let mut right = DVector::<f64>::zeros(parameters);
-        for (row, r, w) in &rows {
-            for i in 0..parameters {
-                right[i] += w * row[i] * r;
-                for j in 0..parameters {
-                    normal[(i, j)] += w * row[i] * row[j];
-                }
-            }
-        }
-        let norms: Vec<f64> = (0..parameters).map(|i| normal[(i, i)].sqrt()).collect();
-        if norms.iter().any(|n| !(*n > 0.0)) {
-            return none;
-        }
-        for i in 0..parameters {
-            right[i] /= norms[i];
-            for j in 0..parameters {
-                normal[(i, j)] /= norms[i] * norms[j];
-            }
-        }
-        let eigen = normal.clone().symmetric_eigen();
-        let (low, high) = (eigen.eigenvalues.min(), eigen.eigenvalues.max());
-        if !(low > 1e-12 * high) {
-            return none;
-        }
-        let Some(inverse) = normal.cholesky().map(|c| c.inverse()) else { return none };
-        // Residual noise after the nuisance parameters (constant, gain) have taken their share.
-        let nuisance = parameters - usize::from(free_mean) - usize::from(gain)..parameters;
-        let spread = |power: i32| {
-            let mut sum = 0.0;
-            let solution = nuisance_solution(&rows, nuisance.clone());
-            for (row, r, w) in &rows {
-                let fitted: f64 = nuisance.clone().zip(&solution).map(|(i, s)| row[i] * s).sum();
-                sum += w * (r - fitted).abs().powi(power);
-            }
-            sum / total
-        };
-        let freedom = (samples as f64 / (samples as f64 - parameters as f64).max(1.0)).min(samples as f64);
-        let noise = match (search.sigma, search.criterion) {
-            (_, Criterion::Prod | Criterion::Hausdorff { .. }) => None,
-            (Some(sigma), _) => Some(sigma * sigma),
-            // Laplace noise of mean absolute value b: the least-absolute-deviation estimate has covariance b^2 / curvature.
-            (None, Criterion::Mad) => Some((spread(1) * freedom).powi(2)),
-            (None, _) => Some(spread(2) * freedom),
-        };
-        let scale = total / samples as f64;
-        let covariance_m2 = noise.filter(|_| samples > parameters || search.sigma.is_some()).map(|noise| {
-            let at = |i: usize, j: usize| noise * scale * inverse[(i, j)] / (norms[i] * norms[j]);
-            [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]]
-        });
-        Self { samples, bias, covariance_m2, flat: false }
-    }
-
-    /// Whether the position is no better known than the search itself.
-    fn uninformative(&self, field: &dyn Field, lattice: &OffsetLattice, y: f64) -> bool {
-        if self.flat {
-            return true;
-        }
-        let unit = field.metres_per_unit(y);
-        let [step, half] = [lattice.step(), lattice.half().map(|h| h as f64)];
-        self.covariance_m2
-            .is_some_and(|c| (0..2).any(|d| half[d] > 0.0 && c[d][d].sqrt() > half[d].max(1.0) * step[d] * unit[d]))
-    }
-}
-
-/// Weighted least squares of the residuals on at most two nuisance columns.
-fn nuisance_solution(rows: &[(Vec<f64>, f64, f64)], columns: std::ops::Range<usize>) -> Vec<f64> {
-    let n = columns.len();
-    if n == 0 {
-        return Vec::new();
-    }
-    let mut normal = DMatrix::<f64>::zeros(n, n);
-    let mut right = DVector::<f64>::zeros(n);
-    for (row, r, w) in rows {
-        for i in 0..n {
-            right[i] += w * row[columns.start + i] * r;
-            for j in 0..n {
-                normal[(i, j)] += w * row[columns.start + i] * row[columns.start + j];
-            }
-        }
-    }
-    normal.lu().solve(&right).map_or(vec![0.0; n], |s| s.iter().copied().collect())
 }

@@ -1,0 +1,70 @@
+# The only entry points. Needs Rust and Python 3.11 or newer; everything else goes into .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUST := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
+
+.PHONY: demo test test-rust test-python bench bench-smoke lint stubs docs build clean help
+
+help:
+	@echo "make demo   build everything and do the main job, with a picture in out/"
+	@echo "make test   all tests, Rust and Python"
+	@echo "make bench  criterion benches and the side-by-side table"
+	@echo "make lint   formatting, clippy, ruff, mypy, stubs against the module"
+	@echo "make docs   the site, with the API of both languages"
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet "maturin>=1.9,<2"
+
+$(VENV)/built: $(BIN)/python pyproject.toml $(RUST)
+	VIRTUAL_ENV=$(CURDIR)/$(VENV) $(BIN)/maturin develop --release --quiet
+	@touch $@
+
+$(VENV)/extras: $(BIN)/python pyproject.toml
+	$(BIN)/python -c "import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['project']; print('\n'.join(p['dependencies'] + [d for n, e in p['optional-dependencies'].items() if n != 'all' for d in e]))" > $(VENV)/requirements.txt
+	$(BIN)/python -m pip install --quiet -r $(VENV)/requirements.txt
+	@touch $@
+
+$(VENV)/dev: $(VENV)/extras
+	$(BIN)/python -m pip install --quiet --group test --group lint
+	@touch $@
+
+build: $(VENV)/built
+
+demo: $(VENV)/built $(VENV)/extras
+	$(BIN)/geomag demo --out out/demo.png
+
+test: test-rust test-python
+
+test-rust:
+	cargo test --workspace --locked --quiet
+
+test-python: $(VENV)/built $(VENV)/dev
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/built $(VENV)/dev
+	cargo bench --locked
+	$(BIN)/python benches/peers/run.py
+
+bench-smoke: $(VENV)/built $(VENV)/dev
+	cargo bench --locked -- --test
+	$(BIN)/python benches/peers/run.py --smoke
+
+lint: $(VENV)/built $(VENV)/dev stubs
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked -- -D warnings
+	$(BIN)/ruff format --check python tests examples benches
+	$(BIN)/ruff check python tests examples benches
+	$(BIN)/mypy
+
+stubs: $(VENV)/built $(VENV)/dev
+	$(BIN)/python -m mypy.stubtest geomag._geomag --allowlist tests/stubtest-allowlist.txt
+
+docs: $(VENV)/built $(VENV)/dev
+	RUSTDOCFLAGS="-D warnings" cargo doc -p geomag-core --no-deps --locked
+
+clean:
+	cargo clean
+	rm -rf $(VENV) out site dist

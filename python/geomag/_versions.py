@@ -1,0 +1,68 @@
+"""What is installed, and the record that a run leaves beside its result."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from geomag._geomag import __version__
+
+_OPTIONAL = (
+    "numpy", "xarray", "netCDF4", "rasterio", "pandas", "pyarrow", "matplotlib", "typer", "rich", "ppigrf", "boule",
+    "verde", "scipy", "dask", "distributed", "geopandas", "pyogrio", "pyproj",
+)  # fmt: skip
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions of geomag, Python, the system and the libraries that geomag can use; None where absent."""
+    found: dict[str, str | None] = {
+        "geomag": __version__,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+    for name in _OPTIONAL:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = None
+    return found
+
+
+def show_versions() -> None:
+    """Print what is installed: paste it into a bug report.
+
+    >>> show_versions()  # doctest: +ELLIPSIS
+    geomag ...
+    """
+    found = versions()
+    width = max(map(len, found))
+    for name, value in found.items():
+        sys.stdout.write(f"{name:<{width}}  {value or 'not installed'}\n")
+
+
+def write_record(
+    path: str | PathLike[str], settings: Mapping[str, Any], *, command: str | None = None, result: object = None
+) -> Path:
+    """Write a run's settings, versions and result as JSON, to be kept beside what the run made.
+
+    Parameters
+    ----------
+    path : of the record, ending in .json.
+    settings : what the run was told; plain values, paths become text.
+    command : the command line, where there was one.
+    result : what came out, for example `fix.to_dict()`.
+    """
+    record: dict[str, Any] = {"settings": dict(settings), "versions": {k: v for k, v in versions().items() if v}}
+    if command is not None:
+        record["command"] = command
+    if result is not None:
+        record["result"] = result
+    target = Path(path)
+    target.write_text(json.dumps(record, indent=1, default=str) + "\n", encoding="utf-8")
+    return target

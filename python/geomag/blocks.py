@@ -1,0 +1,185 @@
+"""Large grids block by block: chunks in, chunks out, within a bound of memory.
+
+A local computation on a map (its value at a node needs the map only within some reach of it) is done block by block,
+each block with a border (halo) as wide as that reach. The result is the same, bit for bit, for any cut into blocks.
+With a chunked (Dask) array the result is lazy and runs wherever Dask runs; with a plain array the blocks are done one
+after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomag._errors import InvalidInputError, ShapeError
+from geomag._optional import require
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import NDArray
+
+__all__ = ["blockwise", "evaluate"]
+
+Local = Callable[["NDArray[Any]", "NDArray[np.float64]", "NDArray[np.float64]"], Mapping[str, "NDArray[Any]"]]
+"""A local computation: (values, x, y) of a block with its halo -> named arrays of the same shape."""
+
+_DEFAULT_BLOCK = 512
+
+
+def _cuts(length: int, sizes: Sequence[int]) -> list[tuple[int, int]]:
+    ends = np.cumsum(sizes)
+    if ends[-1] != length:
+        raise ShapeError(f"chunks: needed sizes that add up to {length}, got {list(sizes)}")
+    return [(int(end - size), int(end)) for size, end in zip(sizes, ends, strict=True)]
+
+
+def _sizes(length: int, block: int) -> list[int]:
+    return [min(block, length - start) for start in range(0, length, block)]
+
+
+def _block(
+    function: Local, names: tuple[str, ...], values: NDArray[Any], x: NDArray[np.float64], y: NDArray[np.float64],
+    trim: tuple[slice, slice], dtype: str,
+) -> NDArray[Any]:  # fmt: skip
+    """One block: run, check, trim the halo off; stacked in the order of the names."""
+    found = function(values, x, y)
+    out = np.empty((len(names), trim[0].stop - trim[0].start, trim[1].stop - trim[1].start), dtype=dtype)
+    for k, name in enumerate(names):
+        if name not in found:
+            raise InvalidInputError(f"block function: needed an array named '{name}', got {', '.join(found)}")
+        array = np.asarray(found[name])
+        if array.shape != values.shape:
+            raise ShapeError(f"block function, '{name}': needed shape {values.shape} as the block, got {array.shape}")
+        out[k] = array[trim]
+    return out
+
+
+def blockwise(
+    data: xr.DataArray,
+    function: Local,
+    names: Sequence[str],
+    *,
+    halo: tuple[int, int] = (0, 0),
+    block: int | tuple[int, int] | None = None,
+    dtype: str = "float32",
+    attributes: Mapping[str, Mapping[str, Any]] | None = None,
+    progress: bool | Callable[[int, int], object] | None = None,
+) -> xr.Dataset:
+    """Run a local computation over a map, block by block.
+
+    Parameters
+    ----------
+    data : (y, x) map; its last two coordinates are taken as y and x. Plain or chunked with Dask.
+    function : (values, x, y) of a block with its halo -> mapping of the names to arrays of the same shape. It must be
+        local: a node's result may depend on nodes within `halo` of it and on nothing else.
+    names : of the results.
+    halo : reach of the computation (rows, columns).
+    block : size of the blocks (rows, columns) for a plain array; a chunked array keeps its own chunks.
+    dtype : of the results.
+    attributes : of each result, such as `{"error_m": {"units": "m"}}`.
+    progress : True for a bar, or a callable (done, total); for plain arrays.
+
+    Returns
+    -------
+    xarray.Dataset
+        One variable a name, on the map's own coordinates; lazy where `data` is chunked.
+    """
+    xarray = require("xarray", "io", "maps block by block")
+    if data.ndim != 2:
+        raise ShapeError(f"map: needed two dimensions (y, x), got {data.dims} of shape {data.shape}")
+    if min(halo) < 0:
+        raise InvalidInputError(f"halo: needed numbers of rows and columns >= 0, got {halo}")
+    wanted = tuple(names)
+    y_name, x_name = (str(d) for d in data.dims)
+    y, x = (np.asarray(data[d], dtype=np.float64) for d in (y_name, x_name))
+    rows, columns = data.shape
+    chunks = data.chunks
+    lazy = chunks is not None
+    if chunks is not None:
+        row_sizes, column_sizes = (list(c) for c in chunks)
+    else:
+        size = (_DEFAULT_BLOCK,) * 2 if block is None else (block, block) if isinstance(block, int) else block
+        if min(size) < 1:
+            raise InvalidInputError(f"block: needed sizes >= 1, got {size}")
+        row_sizes, column_sizes = _sizes(rows, size[0]), _sizes(columns, size[1])
+    row_cuts, column_cuts = _cuts(rows, row_sizes), _cuts(columns, column_sizes)
+
+    def reach(cut: tuple[int, int], by: int, length: int) -> tuple[slice, slice]:
+        """The cut with its halo, and where the cut lies in that."""
+        low, high = max(0, cut[0] - by), min(length, cut[1] + by)
+        return slice(low, high), slice(cut[0] - low, cut[1] - low)
+
+    def arguments(r: tuple[int, int], c: tuple[int, int]) -> tuple[Any, ...]:
+        (row_slice, row_trim), (column_slice, column_trim) = reach(r, halo[0], rows), reach(c, halo[1], columns)
+        source = data.data[row_slice, column_slice]
+        return source, x[column_slice], y[row_slice], (row_trim, column_trim)
+
+    if lazy:
+        dask, array = (
+            require("dask", "distributed", "chunked maps"),
+            require("dask.array", "distributed", "chunked maps"),
+        )
+        run = dask.delayed(_block, pure=True)
+        stacked = array.block([[
+            array.from_delayed(
+                run(function, wanted, *arguments(r, c), dtype), (len(wanted), r[1] - r[0], c[1] - c[0]), dtype=dtype)
+            for c in column_cuts] for r in row_cuts])  # fmt: skip
+    else:
+        from geomag.campaign import _reporter
+
+        report = _reporter(progress)
+        stacked = np.empty((len(wanted), rows, columns), dtype=dtype)
+        total = len(row_cuts) * len(column_cuts)
+        for i, r in enumerate(row_cuts):
+            for j, c in enumerate(column_cuts):
+                source, xs, ys, trim = arguments(r, c)
+                stacked[:, r[0] : r[1], c[0] : c[1]] = _block(function, wanted, np.asarray(source), xs, ys, trim, dtype)
+                report(i * len(column_cuts) + j + 1, total)
+    noted = attributes or {}
+    variables = {name: ((y_name, x_name), stacked[k], dict(noted.get(name, {}))) for k, name in enumerate(wanted)}
+    coordinates = {y_name: data[y_name], x_name: data[x_name]}
+    result: xr.Dataset = xarray.Dataset(variables, coords=coordinates, attrs=dict(data.attrs))
+    return result
+
+
+def evaluate(
+    function: Callable[[NDArray[np.float64], NDArray[np.float64]], Mapping[str, NDArray[Any]]],
+    x: Sequence[float] | NDArray[Any],
+    y: Sequence[float] | NDArray[Any],
+    names: Sequence[str],
+    *,
+    block: int = _DEFAULT_BLOCK,
+    lazy: bool = False,
+    dtype: str = "float64",
+    dims: tuple[str, str] = ("y", "x"),
+    attributes: Mapping[str, Mapping[str, Any]] | None = None,
+) -> xr.Dataset:
+    """Evaluate a field model on the nodes of a grid, block by block.
+
+    Parameters
+    ----------
+    function : (x, y), both of the block's shape -> mapping of the names to arrays of that shape.
+    x, y : axes of the grid.
+    names : of the results.
+    block : rows and columns a block.
+    lazy : whether the result is a Dask array, computed when it is asked for.
+    dtype : of the results.
+    dims : names of the dimensions (y, x).
+    attributes : of each result.
+    """
+    xarray = require("xarray", "io", "maps block by block")
+    xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    # A view of one number with the grid's shape: the model needs the nodes, not values.
+    shell: Any = np.broadcast_to(np.float32(0), (ys.size, xs.size))
+    if lazy:
+        array = require("dask.array", "distributed", "lazy evaluation")
+        shell = array.zeros((ys.size, xs.size), chunks=block, dtype="float32")
+    data = xarray.DataArray(shell, coords={dims[0]: ys, dims[1]: xs}, dims=dims)
+
+    def at_nodes(values: NDArray[Any], bx: NDArray[np.float64], by: NDArray[np.float64]) -> Mapping[str, NDArray[Any]]:
+        grid_x, grid_y = np.meshgrid(bx, by)
+        return function(grid_x, grid_y)
+
+    return blockwise(data, at_nodes, names, block=block, dtype=dtype, attributes=attributes)

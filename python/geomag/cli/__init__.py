@@ -1,0 +1,86 @@
+"""The command line. Exit status: 0 fixed (or done), 1 bad input (one line on standard error), 3 no usable fix."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from geomag._errors import GeomagError
+from geomag._optional import require
+
+require("typer", "cli", "the geomag command")
+
+import typer  # noqa: E402 - after the check that it is there
+
+NO_FIX = 3
+BAD_INPUT = 1
+
+app = typer.Typer(
+    name="geomag",
+    help="Geomagnetic and gravity map-matching navigation: position fixes, honest about when not to use them.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from geomag import __version__
+
+        typer.echo(f"geomag {__version__}")
+        raise typer.Exit
+
+
+def _versions(asked: bool) -> None:
+    if asked:
+        from geomag._versions import show_versions
+
+        show_versions()
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    context: typer.Context,
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Show the version."),
+    versions: bool = typer.Option(
+        False, "--versions", callback=_versions, is_eager=True, help="Show the versions of everything in use."
+    ),
+    settings: Path | None = typer.Option(
+        None, help="TOML file with options: a table for each command, such as [match]. The command line wins."
+    ),
+    record: Path | None = typer.Option(None, help="Write what was run, its settings and versions, to this JSON file."),
+) -> None:
+    if settings is not None:
+        from geomag.cli._settings import read_settings
+
+        context.default_map = read_settings(settings, context.command)
+
+
+from geomag.cli import demo, info, match, reproduce, stream  # noqa: E402, F401 - each registers its command on `app`
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command and return the exit status."""
+    try:
+        from geomag.cli._settings import recorded
+
+        with recorded(typer.main.get_command(app), arguments) as command:
+            result = command.main(list(arguments), prog_name="geomag", standalone_mode=False)
+    except (typer.Abort, KeyboardInterrupt):
+        sys.stderr.write("geomag: interrupted\n")
+        return 130
+    except GeomagError as error:
+        sys.stderr.write("geomag: " + str(error).replace("\n", " ") + "\n")
+        return BAD_INPUT
+    except Exception as error:
+        # Usage errors are click's, but recent versions of typer carry a click of their own: known by what they can do.
+        message = getattr(error, "format_message", None)
+        if message is None:
+            raise
+        prefix = "" if type(error).__name__ == "NoArgsIsHelpError" else "geomag: "
+        sys.stderr.write(f"{prefix}{message()}\n")
+        return BAD_INPUT
+    return result if isinstance(result, int) else 0

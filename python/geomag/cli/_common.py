@@ -1,0 +1,74 @@
+"""What several commands share."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomag._geomag import GridMap, Track
+from geomag.io import read_track
+
+if TYPE_CHECKING:
+    from geomag import Fix
+
+
+def jsonable(value: Any) -> Any:  # noqa: ANN401 - anything that a report holds
+    """Plain values for JSON: NaN becomes null, arrays become lists."""
+    if isinstance(value, dict):
+        return {k: jsonable(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [jsonable(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return jsonable(value.tolist())
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value
+
+
+def fix_json(fix: Fix, **more: object) -> str:
+    """One JSON object with the fields of the fix, its track and surface, and more."""
+    return json.dumps(jsonable({**fix.to_dict(), "track": fix.track, "surface": fix.surface, **more}))
+
+
+def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
+    """Read a track; the value column is by default the one that is named as the map's variable is."""
+    if value is None and grid.name:
+        import contextlib
+
+        from geomag._errors import UnknownVariableError
+
+        with contextlib.suppress(UnknownVariableError):
+            return read_track(path, x, y, grid.name, missing="drop" if drop else "error")
+    return read_track(path, x, y, value, missing="drop" if drop else "error")
+
+
+def half_width(grid: GridMap, track: Track, metres: float) -> tuple[float, float]:
+    """Half size of a search in map units from metres."""
+    east, north = grid.metres_per_unit(float(track.y[-1]))
+    return metres / east, metres / north
+
+
+def describe(fix: Fix) -> list[str]:
+    """What a navigator wants to know, in words."""
+    lines = [f"status      {fix.status}{'' if fix.ok else '  (not to be used)'}"]
+    if math.isfinite(fix.x):
+        east, north = fix.offset_m
+        lines += [
+            f"position    x {fix.x:.6f}  y {fix.y:.6f}",
+            f"correction  {east:+.1f} m east  {north:+.1f} m north",
+        ]
+        if fix.heading_deg or fix.scale != 1.0:
+            lines.append(f"            heading {fix.heading_deg:+.2f} deg  scale {fix.scale:.4f}")
+    if fix.covariance_m2 is not None:
+        s = np.sqrt(np.diag(fix.covariance_m2))
+        lines.append(f"sigma       {s[0]:.1f} m east  {s[1]:.1f} m north (one standard deviation)")
+    if fix.risk is not None:
+        lines.append(f"risk        {fix.risk:.2e} that the error is beyond the tolerance")
+    lines.append(f"score       {fix.score:.4g}  runner-up {fix.runner_up:.4g}  from {fix.n_samples} samples")
+    return lines

@@ -1,0 +1,84 @@
+"""`geomag info`: what is in a map and whether one can navigate on it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from geomag._geomag import GridMap
+from geomag.cli import app
+from geomag.cli._common import jsonable
+from geomag.io import read_grid
+
+
+def summary(grid: GridMap) -> dict[str, object]:
+    """Extent, spacing, statistics of values and gradient (per kilometre, at cell centres)."""
+    x, y, values = grid.x, grid.y, np.asarray(grid.values, dtype=float)
+    known = values[np.isfinite(values)]
+    stride = max(1, int(np.sqrt(values.size / 250_000)))
+    cx, cy = np.meshgrid(0.5 * (x[:-1] + x[1:])[::stride], 0.5 * (y[:-1] + y[1:])[::stride])
+    east, north = grid.gradient(cx, cy)
+    slope = 1000.0 * np.hypot(east, north)
+    slope = slope[np.isfinite(slope)]
+    quantiles = np.quantile(slope, [0.1, 0.5, 0.9]) if slope.size else np.full(3, np.nan)
+    spacing = grid.spacing_m
+    return {
+        "name": grid.name,
+        "units": grid.units,
+        "crs": grid.crs,
+        "geographic": grid.geographic,
+        "shape": list(values.shape),
+        "x": [float(x[0]), float(x[-1])],
+        "y": [float(y[0]), float(y[-1])],
+        "spacing": list(grid.spacing),
+        "spacing_m": list(spacing),
+        "dtype": str(grid.values.dtype),
+        "holes": int(grid.holes),
+        "holes_share": float(grid.holes / values.size),
+        "minimum": float(known.min()),
+        "maximum": float(known.max()),
+        "mean": float(known.mean()),
+        "std": float(known.std()),
+        "gradient_per_km": {"p10": quantiles[0], "median": quantiles[1], "p90": quantiles[2]},
+        "map_sigma": None if grid.sigma is None else float(np.nanmedian(grid.sigma)),
+    }
+
+
+@app.command(
+    epilog="Example: geomag info survey.nc --sigma 5",
+)
+def info(
+    map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
+    variable: Annotated[str | None, typer.Option(help="Variable of a netCDF file.")] = None,
+    geographic: Annotated[bool | None, typer.Option(help="Coordinates are degrees.")] = None,
+    sigma: Annotated[float, typer.Option(help="Standard deviation of a measured value, map error included.")] = 5.0,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> int:
+    """What is in a map, its statistics, and whether one can navigate on it."""
+    grid = read_grid(map, variable, geographic=geographic)
+    facts = summary(grid)
+    slope = facts["gradient_per_km"]["median"]  # type: ignore[index]
+    # n samples across a slope g of noise s give a position to s / (g sqrt(n)); 30 is an ordinary sequence.
+    reach = float(1000.0 * sigma / slope / np.sqrt(30)) if slope > 0 else float("inf")
+    facts["position_sigma_m_30_samples"] = reach
+    if json_:
+        typer.echo(json.dumps(jsonable(facts)))
+        return 0
+    unit = "deg" if grid.geographic else "m"
+    value = grid.units or "value units"
+    rows, columns = grid.shape
+    lines = [
+        f"map       {grid.name or map.name}: {rows} x {columns} nodes, {facts['dtype']}",
+        f"x         {facts['x'][0]:.6g} .. {facts['x'][1]:.6g} {unit}, spacing {grid.spacing[0]:.6g} {unit} ({grid.spacing_m[0]:.0f} m)",  # type: ignore[index]
+        f"y         {facts['y'][0]:.6g} .. {facts['y'][1]:.6g} {unit}, spacing {grid.spacing[1]:.6g} {unit} ({grid.spacing_m[1]:.0f} m)",  # type: ignore[index]
+        f"holes     {facts['holes']} nodes ({100 * facts['holes_share']:.1f} %)",  # type: ignore[operator]
+        f"values    {facts['minimum']:.1f} .. {facts['maximum']:.1f} {value}, mean {facts['mean']:.1f}, std {facts['std']:.1f}",
+        f"gradient  {slope:.2f} {value}/km in the median, {facts['gradient_per_km']['p90']:.2f} at 90 %",  # type: ignore[index]
+        f"fix       about {reach:.0f} m from 30 samples of {sigma:g} {value} noise, where the samples cross the gradient",
+    ]
+    typer.echo("\n".join(lines))
+    return 0

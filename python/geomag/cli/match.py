@@ -1,0 +1,215 @@
+"""`geomag match`: a fix from a map file and a track file."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from geomag._errors import InvalidInputError
+from geomag._geomag import Fix, GridMap, Iema, Track, match_grid
+from geomag.cli import NO_FIX, app
+from geomag.cli._common import describe, fix_json, half_width, load_track
+from geomag.io import read_grid
+
+#: Number of samples, feasible set, and the offsets of its columns and rows.
+Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
+
+
+class Method(StrEnum):
+    """Matchers of the command line."""
+
+    iema = "iema"
+    msd = "msd"
+    mad = "mad"
+    prod = "prod"
+    ncc = "ncc"
+    hausdorff = "hausdorff"
+
+
+def default_half_width_m(grid: GridMap) -> float:
+    """Two kilometres or ten cells, whichever is more."""
+    return max(2000.0, 10.0 * max(grid.spacing_m))
+
+
+@app.command(
+    epilog="Example: geomag match survey.nc log.csv --method msd --half-width-m 1500 --json",
+)
+def match(
+    map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
+    track: Annotated[Path, typer.Argument(help="Track file: CSV, text or Parquet with position and value columns.")],
+    method: Annotated[Method, typer.Option(help="Matcher.")] = Method.msd,
+    half_width_m: Annotated[
+        float | None,
+        typer.Option(help="Half size of the search, m: the bound of the INS error. Default 2000 or ten cells."),
+    ] = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated."
+        ),
+    ] = None,
+    remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
+    tolerance_m: Annotated[
+        float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")
+    ] = 0.0,
+    max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
+    heading_deg: Annotated[
+        float, typer.Option(help="Search headings up to this, in five steps a side (not IEMA).")
+    ] = 0.0,
+    variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
+    x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
+    y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
+    value: Annotated[str | None, typer.Option(help="Column of the measured values.")] = None,
+    drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
+    plot: Annotated[Path | None, typer.Option(help="Write a picture to this file.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a self-contained HTML page to this file.")] = None,
+    geojson: Annotated[Path | None, typer.Option(help="Write track and fix as GeoJSON to this file.")] = None,
+) -> int:
+    """Find where a track truly ran, from a map and its measured values."""
+    grid = read_grid(map, variable, geographic=geographic)
+    samples = load_track(track, grid, x, y, value, drop_missing)
+    reach = default_half_width_m(grid) if half_width_m is None else half_width_m
+    fix, steps = solve(
+        grid,
+        samples,
+        method.value,
+        reach,
+        sigma=sigma,
+        remove_mean=remove_mean,
+        tolerance_m=tolerance_m,
+        max_misses=max_misses,
+        heading_deg=heading_deg,
+        surface=plot is not None or report is not None,
+    )
+    if plot is not None:
+        draw(grid, samples, fix, plot, method.value, steps)
+    if report is not None:
+        told: dict[str, object] = {
+            "map": map,
+            "track": track,
+            "method": method.value,
+            "half-width-m": reach,
+            "sigma": sigma,
+        }
+        told |= {"tolerance-m": tolerance_m, "max-misses": max_misses, "heading-deg": heading_deg}
+        write_report(grid, samples, fix, report, method.value, steps, told)
+    if geojson is not None:
+        from geomag.exchange import write_geojson
+
+        crs = None if grid.geographic else grid.crs
+        write_geojson(geojson, {"indicated": samples, "fix": fix}, crs=crs)
+    if json_:
+        typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
+    else:
+        typer.echo("\n".join(describe(fix)))
+    return 0 if fix.ok else NO_FIX
+
+
+def solve(
+    grid: GridMap,
+    track: Track,
+    method: str,
+    half_width_m: float,
+    *,
+    sigma: float | None = None,
+    remove_mean: bool = True,
+    tolerance_m: float = 0.0,
+    max_misses: int = 0,
+    heading_deg: float = 0.0,
+    surface: bool = False,
+) -> tuple[Fix, list[Feasible]]:
+    """Run one matcher; for IEMA with `surface` also the feasible set after every sample."""
+    if not (np.isfinite(half_width_m) and half_width_m > 0):
+        raise InvalidInputError(f"--half-width-m: needed a number > 0, got {half_width_m}")
+    reach = half_width(grid, track, half_width_m)
+    if method == "iema":
+        iema = Iema(
+            grid,
+            sigma=10.0 if sigma is None else sigma,
+            half_width=reach,
+            tolerance=half_width(grid, track, tolerance_m),
+            max_misses=max_misses,
+        )
+        if not surface:
+            return iema.run(track), []
+        frames: list[Feasible] = []
+        for px, py, v in zip(track.x, track.y, track.values, strict=True):
+            step = iema.update(px, py, v)
+            frames.append((step.n_samples, iema.feasible, *iema.offsets))
+            if step.status != "searching":
+                break
+        return iema.run(track), frames
+    headings = np.linspace(-heading_deg, heading_deg, 11) if heading_deg else [0.0]
+    fix = match_grid(
+        grid,
+        track,
+        method,
+        half_width=reach,
+        sigma=sigma,
+        remove_mean=remove_mean and method in ("msd", "mad"),
+        heading_deg=headings,
+        surface=surface,
+    )
+    return fix, []
+
+
+def draw(
+    grid: GridMap,
+    track: Track,
+    fix: Fix,
+    path: Path,
+    method: str,
+    steps: list[Feasible],
+    truth: object | None = None,
+    surface_fix: Fix | None = None,
+) -> None:
+    """Write the picture of a match."""
+    from geomag._optional import require
+
+    require("matplotlib", "plot", "pictures")
+    from geomag.plot import Frame, match_figure, save
+
+    figure = match_figure(
+        grid,
+        track,
+        fix,
+        truth=truth,
+        steps=[Frame(*step) for step in steps] or None,
+        surface_fix=surface_fix,
+        surface_label=method,
+        least_is_best=method not in ("prod", "ncc"),
+    )
+    save(figure, path)
+
+
+def write_report(
+    grid: GridMap,
+    track: Track,
+    fix: Fix,
+    path: Path,
+    method: str,
+    steps: list[Feasible],
+    settings: dict[str, object],
+) -> None:
+    """Write the HTML page of a match."""
+    from geomag.plot import Frame
+    from geomag.report import match_report
+
+    match_report(
+        path,
+        grid,
+        track,
+        fix,
+        steps=[Frame(*step) for step in steps] or None,
+        surface_label=method,
+        least_is_best=method not in ("prod", "ncc"),
+        settings=settings,
+        title=f"Match of {settings['track']} on {settings['map']}",
+    )

@@ -1,0 +1,28 @@
+"""`geomag reproduce`: the published experiments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geomag.cli import app
+
+
+@app.command(epilog="Example: geomag reproduce E1 E2 E3 --data ../shared/data --out out/reproduce")
+def reproduce(
+    experiments: Annotated[list[str] | None, typer.Argument(help="E1 ... E8; all of them by default.")] = None,
+    data: Annotated[Path, typer.Option(help="Folder of surveys and fields.")] = Path("../shared/data"),
+    out: Annotated[Path, typer.Option(help="Folder for the report and its pictures.")] = Path("out/reproduce"),
+    seed: Annotated[int, typer.Option(help="Seed of every draw.")] = 2012,
+    effort: Annotated[float, typer.Option(help="Share of the full number of trials.")] = 1.0,
+) -> int:
+    """Rerun the published experiments: published figure beside ours, pictures, report.md and report.json."""
+    from geomag.reproduce import run
+
+    reports = run(experiments or [], data=data, out=out, seed=seed, effort=effort, say=typer.echo)
+    for report in reports:
+        typer.echo("\n" + report.markdown())
+    typer.echo(f"report and pictures: {out / 'report.md'}")
+    return 0

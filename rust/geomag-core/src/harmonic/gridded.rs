@@ -1,0 +1,194 @@
+//! The field on a regular grid at one level: the double sum separates into two small products.
+
+use rayon::prelude::*;
+
+use super::RectangularHarmonicModel;
+use super::basis::harmonics;
+use super::kernel::Packed;
+use crate::error::{Error, Result, require_finite};
+
+/// Numbers side by side in a tile of the second product.
+const TILE: usize = 16;
+/// Rows that go through a tile together.
+const ROWS: usize = 4;
+/// Greatest number of nodes: 6 GB of results.
+const MAX_NODES: usize = 1 << 28;
+
+impl RectangularHarmonicModel {
+    /// Field (north, east, down) at the nodes of a grid at one level: `out[(i * east.len() + j)]` is the field at
+    /// `north_m[i]`, `east_m[j]`, `down_m`. NaN outside the region unless `extrapolate`.
+    ///
+    /// Sums over the harmonics along east once a column, then over those along north once a node: `O(N)` a node where
+    /// scattered points take `O(N^2)`.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`]; [`Error::Invalid`] for more than 2^28 nodes.
+    pub fn field_grid(&self, north_m: &[f64], east_m: &[f64], down_m: f64, extrapolate: bool) -> Result<Vec<[f64; 3]>> {
+        require_finite("north_m", north_m)?;
+        require_finite("east_m", east_m)?;
+        require_finite("down_m", &[down_m])?;
+        let (rows, columns) = (north_m.len(), east_m.len());
+        match rows.checked_mul(columns) {
+            Some(nodes) if nodes <= MAX_NODES => {}
+            _ => {
+                return Err(Error::invalid(
+                    "grid",
+                    format!("at most {MAX_NODES} nodes"),
+                    format!("{rows} x {columns}"),
+                ));
+            }
+        }
+        let [v, w] = self.packed.wave;
+        let mut out = vec![[f64::NAN; 3]; rows * columns];
+        if rows == 0 || columns == 0 || down_m * v.hypot(w) * self.order() as f64 > 700.0 {
+            return Ok(out);
+        }
+        let inner = 2 * (self.order() + 1);
+        let tiles = along_east(&self.packed, east_m, down_m);
+        let x = along_north(&self.packed, north_m);
+        let width = columns * 3;
+        out.as_flattened_mut()
+            .par_chunks_mut(width * ROWS * 8)
+            .zip(x.par_chunks(inner * ROWS * 8))
+            .for_each(|(out, x)| pulp::Arch::new().dispatch(Product { x, tiles: &tiles, inner, width, out }));
+        if !extrapolate {
+            self.blank_outside(north_m, east_m, down_m, &mut out);
+        }
+        Ok(out)
+    }
+
+    fn blank_outside(&self, north_m: &[f64], east_m: &[f64], down_m: f64, out: &mut [[f64; 3]]) {
+        // The region is a box: a row and a column decide alone.
+        let [n, e] = [self.region.north_m[0], self.region.east_m[0]];
+        let columns: Vec<bool> = east_m.iter().map(|&y| self.contains([n, y, down_m])).collect();
+        for (row, &x) in out.chunks_exact_mut(east_m.len()).zip(north_m) {
+            let inside = self.contains([x, e, down_m]);
+            for (node, column) in row.iter_mut().zip(&columns) {
+                if !(inside && *column) {
+                    *node = [f64::NAN; 3];
+                }
+            }
+        }
+    }
+}
+
+/// For every t the factors of cos(tvx) and sin(tvx), of three components at every column; laid out by tiles of [`TILE`]
+/// numbers, `[tile][2 t + (cosine, sine)][number]`, number = 3 column + component.
+fn along_east(packed: &Packed, east_m: &[f64], down_m: f64) -> Vec<f64> {
+    let order = packed.order;
+    let [v, w] = packed.wave;
+    let inner = 2 * (order + 1);
+    let tile_count = (east_m.len() * 3).div_ceil(TILE);
+    let mut tiles = vec![0.0; tile_count * inner * TILE];
+    let mut levelled = Vec::with_capacity((order + 1) * (order + 2) / 2);
+    for t in 0..=order {
+        for r in 0..=order - t {
+            let [u, d, e, f, g] = packed.pair(t, r);
+            let level = (u * down_m).exp();
+            levelled.push([u, r as f64 * w, d * level, e * level, f * level, g * level]);
+        }
+    }
+    let (mut cosines, mut sines) = (Vec::new(), Vec::new());
+    for (j, &y) in east_m.iter().enumerate() {
+        harmonics(w * y, order, &mut cosines, &mut sines);
+        let mut rest = levelled.as_slice();
+        for t in 0..=order {
+            let (row, after) = rest.split_at(order - t + 1);
+            rest = after;
+            // Sums of P, u P and dP/dy over r: factors of the cosine and of the sine along x.
+            let (mut p, mut up, mut py) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+            for ([u, rw, d, e, f, g], (c, s)) in row.iter().zip(cosines.iter().zip(&sines)) {
+                let (a, b) = (d * c + e * s, f * c + g * s);
+                p[0] += a;
+                p[1] += b;
+                up[0] += u * a;
+                up[1] += u * b;
+                py[0] += rw * (e * c - d * s);
+                py[1] += rw * (g * c - f * s);
+            }
+            let tv = t as f64 * v;
+            let mut factors = [[-tv * p[1], -py[0], -up[0]], [tv * p[0], -py[1], -up[1]]];
+            if t == 0 {
+                for (factor, constant) in factors[0].iter_mut().zip(packed.linear) {
+                    *factor -= constant;
+                }
+            }
+            for (k, factors) in factors.iter().enumerate() {
+                for (c, factor) in factors.iter().enumerate() {
+                    let number = 3 * j + c;
+                    tiles[((number / TILE) * inner + 2 * t + k) * TILE + number % TILE] = *factor;
+                }
+            }
+        }
+    }
+    tiles
+}
+
+/// Cosines and sines along north, `[row][2 t + (cosine, sine)]`.
+fn along_north(packed: &Packed, north_m: &[f64]) -> Vec<f64> {
+    let (mut cosines, mut sines) = (Vec::new(), Vec::new());
+    let mut out = Vec::with_capacity(north_m.len() * 2 * (packed.order + 1));
+    for &x in north_m {
+        harmonics(packed.wave[0] * x, packed.order, &mut cosines, &mut sines);
+        out.extend(cosines.iter().zip(&sines).flat_map(|(c, s)| [*c, *s]));
+    }
+    out
+}
+
+/// `out = x * tiles` for some rows.
+struct Product<'a> {
+    x: &'a [f64],
+    tiles: &'a [f64],
+    inner: usize,
+    width: usize,
+    out: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        if S::IS_SCALAR { self.run::<false>() } else { self.run::<true>() }
+    }
+}
+
+impl Product<'_> {
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let rows = self.x.len() / self.inner;
+        for (t, tile) in self.tiles.chunks_exact(self.inner * TILE).enumerate() {
+            let first = t * TILE;
+            let count = TILE.min(self.width - first);
+            let mut put = |row: usize, sums: &[[f64; TILE]]| {
+                for (k, sum) in sums.iter().enumerate() {
+                    let start = (row + k) * self.width + first;
+                    self.out[start..start + count].copy_from_slice(&sum[..count]);
+                }
+            };
+            let x = |row: usize| &self.x[row * self.inner..(row + 1) * self.inner];
+            let whole = rows - rows % ROWS;
+            for row in (0..whole).step_by(ROWS) {
+                put(row, &multiply::<FMA, ROWS>([x(row), x(row + 1), x(row + 2), x(row + 3)], tile));
+            }
+            for row in whole..rows {
+                put(row, &multiply::<FMA, 1>([x(row)], tile));
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn multiply<const FMA: bool, const R: usize>(x: [&[f64]; R], tile: &[f64]) -> [[f64; TILE]; R] {
+    let mut sums = [[0.0_f64; TILE]; R];
+    for (i, numbers) in tile.as_chunks::<TILE>().0.iter().enumerate() {
+        for k in 0..R {
+            let factor = x[k][i];
+            for l in 0..TILE {
+                sums[k][l] =
+                    if FMA { factor.mul_add(numbers[l], sums[k][l]) } else { factor * numbers[l] + sums[k][l] };
+            }
+        }
+    }
+    sums
+}

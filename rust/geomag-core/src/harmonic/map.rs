@@ -1,0 +1,277 @@
+//! A harmonic model as a map: one scalar of it on a level surface, wherever a matcher takes a field.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::evaluate::{Evaluation, norm};
+use super::{Positions, RectangularHarmonicModel};
+use crate::error::{Error, Result, require_finite};
+use crate::field::Field;
+use crate::frame::{LocalFrame, metres_per_degree, wrap_longitude};
+use crate::grid::{Axis, GridMap, GridValues};
+
+/// Nodes to a shortest wavelength at which the model counts as known: the step of a search over it.
+const NODES_A_WAVELENGTH: f64 = 8.0;
+/// Samples along each axis from which the mean level is taken.
+const MEAN_SAMPLES: usize = 24;
+
+/// Which scalar of the field.
+///
+/// Main fields are north, east, down in the axes of the model's frame, in the unit of the model.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Quantity {
+    /// The northward component, at the point's own north.
+    North,
+    /// The eastward component, at the point's own east.
+    East,
+    /// The downward component, at the point's own vertical.
+    Down,
+    /// The component along a main field.
+    Projection([f64; 3]),
+    /// The total-field anomaly as a scalar magnetometer has it: `|main + B| - |main|`.
+    Anomaly([f64; 3]),
+    /// The total intensity `|main + B|`.
+    Intensity([f64; 3]),
+}
+
+impl Quantity {
+    pub(crate) fn validate(self) -> Result<Self> {
+        if let Self::Projection(main) | Self::Anomaly(main) | Self::Intensity(main) = self {
+            require_finite("main_field", &main)?;
+            if norm(main) == 0.0 {
+                return Err(Error::invalid("main_field", "a vector of length > 0", "a zero vector"));
+            }
+        }
+        Ok(self)
+    }
+
+    /// Value, and the direction of the field to which it is sensitive, for a field in the axes of the frame. `own` turns
+    /// north, east and down of the point into those axes.
+    pub(crate) fn of(self, field: [f64; 3], own: impl Fn([f64; 3]) -> [f64; 3]) -> (f64, [f64; 3]) {
+        let along = |direction: [f64; 3]| (dot(field, direction), direction);
+        match self {
+            Self::North => along(own([1.0, 0.0, 0.0])),
+            Self::East => along(own([0.0, 1.0, 0.0])),
+            Self::Down => along(own([0.0, 0.0, 1.0])),
+            Self::Projection(main) => {
+                let length = norm(main);
+                along(main.map(|c| c / length))
+            }
+            Self::Anomaly(main) | Self::Intensity(main) => {
+                let total = [main[0] + field[0], main[1] + field[1], main[2] + field[2]];
+                let (length, main_length) = (norm(total), norm(main));
+                let value = if matches!(self, Self::Intensity(_)) {
+                    length
+                } else {
+                    // The difference of two lengths of 50,000 nT would lose four digits.
+                    (2.0 * dot(main, field) + dot(field, field)) / (length + main_length)
+                };
+                (value, total.map(|c| c / length))
+            }
+        }
+    }
+}
+
+/// One scalar of a harmonic model on a level surface.
+///
+/// Geographic: x and y are degrees of longitude and latitude, the level is a height above the frame's Earth. Otherwise x
+/// is east and y north of the frame's origin in metres, and the level a constant `down`.
+///
+/// Gradients leave out that north and east turn from point to point, which matters only to the three components and
+/// there by the field over the Earth's radius (1e-5 nT/km for 75 nT).
+#[derive(Debug, Clone)]
+pub struct HarmonicMap {
+    model: Arc<RectangularHarmonicModel>,
+    quantity: Quantity,
+    level: Level,
+    spacing: [f64; 2],
+    mean: f64,
+}
+
+/// Where the scalar is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) enum Level {
+    /// A height above the Earth of a frame; geographic coordinates.
+    Height(LocalFrame, f64),
+    /// A plane of the frame.
+    Down(f64),
+}
+
+impl Level {
+    /// The point of the frame under map coordinates.
+    pub(crate) fn point(self, x: f64, y: f64) -> [f64; 3] {
+        match self {
+            Self::Height(frame, height) => frame.forward(y, x, height),
+            Self::Down(down) => [y, x, down],
+        }
+    }
+
+    /// A vector in the axes of the frame as north, east, down at a place.
+    pub(crate) fn to_own(self, x: f64, y: f64, vector: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Height(frame, _) => frame.rotate_from_origin(y, x, vector),
+            Self::Down(_) => vector,
+        }
+    }
+
+    /// North, east, down at a place as a vector in the axes of the frame.
+    #[allow(clippy::wrong_self_convention)] // "from" is the direction of the rotation
+    pub(crate) fn from_own(self, x: f64, y: f64, vector: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Height(frame, _) => frame.rotate_to_origin(y, x, vector),
+            Self::Down(_) => vector,
+        }
+    }
+}
+
+impl HarmonicMap {
+    /// On a surface of constant height (metres) above the frame's Earth; coordinates in degrees.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a model without a frame or a main field of length zero; [`Error::NotFinite`].
+    pub fn at_height(model: Arc<RectangularHarmonicModel>, quantity: Quantity, height_m: f64) -> Result<Self> {
+        require_finite("height_m", &[height_m])?;
+        let Some(frame) = model.frame().copied() else {
+            return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
+        };
+        Self::new(model, quantity, Level::Height(frame, height_m))
+    }
+
+    /// On a plane of the frame, `down_m` below its origin; coordinates in metres.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a main field of length zero; [`Error::NotFinite`].
+    pub fn at_down(model: Arc<RectangularHarmonicModel>, quantity: Quantity, down_m: f64) -> Result<Self> {
+        require_finite("down_m", &[down_m])?;
+        Self::new(model, quantity, Level::Down(down_m))
+    }
+
+    fn new(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Level) -> Result<Self> {
+        let quantity = quantity.validate()?;
+        let order = model.order().max(1) as f64;
+        let [north, east] = model.periods_m().map(|p| p / order / NODES_A_WAVELENGTH);
+        let spacing = match level {
+            Level::Down(_) => [east, north],
+            Level::Height(frame, _) => {
+                let [east_scale, north_scale] = metres_per_degree(frame.latitude_deg());
+                [east / east_scale.max(1.0), north / north_scale]
+            }
+        };
+        let mut map = Self { model, quantity, level, spacing, mean: 0.0 };
+        map.mean = map.mean_over_region();
+        Ok(map)
+    }
+
+    /// The model behind the map.
+    pub fn model(&self) -> &Arc<RectangularHarmonicModel> {
+        &self.model
+    }
+
+    /// The scalar that the map gives.
+    pub fn quantity(&self) -> Quantity {
+        self.quantity
+    }
+
+    /// The map as a regular grid on given axes: upward continuation to the level, for matchers that read grids.
+    ///
+    /// Nodes outside the model's region are holes. The grid carries no sigma; ask the model for it.
+    ///
+    /// # Errors
+    /// As [`GridMap::from_axes`].
+    pub fn to_grid(&self, x: Axis, y: Axis) -> Result<GridMap> {
+        let mut values = vec![f64::NAN; x.len() * y.len()];
+        values.par_chunks_mut(x.len()).enumerate().for_each(|(row, out)| {
+            let points: Vec<[f64; 3]> = (0..x.len()).map(|c| self.level.point(x.at(c), y.at(row))).collect();
+            let axis = |i: usize| points.iter().map(|p| p[i]).collect::<Vec<_>>();
+            let (north, east, down) = (axis(0), axis(1), axis(2));
+            if let Ok(positions) = Positions::new(&north, &east, &down) {
+                self.model.for_each::<false>(&positions, 0..points.len(), false, |c, found| {
+                    if let Some(e) = found {
+                        out[c] = self.scalar(x.at(c), y.at(row), &e).0;
+                    }
+                });
+            }
+        });
+        GridMap::from_axes(GridValues::F64(values), x, y, self.geographic())
+    }
+
+    fn scalar(&self, x: f64, y: f64, e: &Evaluation) -> (f64, [f64; 3]) {
+        self.quantity.of(e.field, |own| self.level.from_own(x, y, own))
+    }
+
+    fn mean_over_region(&self) -> f64 {
+        let region = self.model.region();
+        let at = |[low, high]: [f64; 2], k: usize| low + (high - low) * (k as f64 + 0.5) / MEAN_SAMPLES as f64;
+        let (mut sum, mut count) = (0.0, 0.0);
+        for k in 0..MEAN_SAMPLES * MEAN_SAMPLES {
+            let (north, east) = (at(region.north_m, k / MEAN_SAMPLES), at(region.east_m, k % MEAN_SAMPLES));
+            let value = match self.level {
+                Level::Down(_) => self.value(east, north),
+                Level::Height(frame, _) => {
+                    let [latitude, longitude, _] = frame.inverse([north, east, region.down_m[1]]);
+                    self.value(longitude, latitude)
+                }
+            };
+            if value.is_finite() {
+                sum += value;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { sum / count } else { 0.0 }
+    }
+}
+
+impl Field for HarmonicMap {
+    fn value(&self, x: f64, y: f64) -> f64 {
+        let field = self.model.field_at(self.level.point(x, y));
+        let e = Evaluation { potential: f64::NAN, field, gradient: [[f64::NAN; 3]; 3] };
+        self.scalar(x, y, &e).0
+    }
+
+    fn value_and_gradient(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
+        let e = self.model.evaluate_at(self.level.point(x, y));
+        let (value, sensed) = self.scalar(x, y, &e);
+        // Along a direction of the frame: sensed . (gradient . direction).
+        let slope: [f64; 3] = std::array::from_fn(|j| (0..3).map(|i| sensed[i] * e.gradient[i][j]).sum());
+        let [north, east, _] = self.level.to_own(x, y, slope);
+        (value, [east, north])
+    }
+
+    fn sigma(&self, x: f64, y: f64) -> f64 {
+        if !self.model.has_covariance() {
+            return 0.0;
+        }
+        let point = self.level.point(x, y);
+        let e = Evaluation { potential: 0.0, field: self.model.field_at(point), gradient: [[0.0; 3]; 3] };
+        let direction = self.scalar(x, y, &e).1;
+        Positions::new(&point[..1], &point[1..2], &point[2..])
+            .and_then(|positions| self.model.sigma_along(&positions, &[direction], false))
+            .map_or(f64::NAN, |s| s[0])
+    }
+
+    fn geographic(&self) -> bool {
+        matches!(self.level, Level::Height(..))
+    }
+
+    fn wrap_x(&self, x: f64) -> f64 {
+        match self.level {
+            Level::Height(frame, _) => wrap_longitude(x, frame.longitude_deg()),
+            Level::Down(_) => x,
+        }
+    }
+
+    fn spacing(&self) -> [f64; 2] {
+        self.spacing
+    }
+
+    fn mean(&self) -> f64 {
+        self.mean
+    }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}

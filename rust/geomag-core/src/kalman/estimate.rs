@@ -1,0 +1,449 @@
+//! Mean and covariance of a state, the covariance held as its Cholesky factor.
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, require_finite};
+
+/// Least pivot of a covariance factor as a share of its row: a correlation nearer to one is lost in the product of the
+/// factors, and the covariance that users see would no longer be positive definite.
+const LEAST_PIVOT: f64 = 1e-7;
+/// Pivots below this share of their row are checked against the product of the factors.
+const DOUBTFUL_PIVOT: f64 = 1e-4;
+/// Least pivot as a share of the state's own spread before the step: what rounding leaves of it.
+const LEAST_SPREAD: f64 = 1e-16;
+/// Least pivot of the innovation as a share of its row; below it redundant measurements differ by rounding alone.
+const LEAST_INNOVATION: f64 = 1e-13;
+/// Growth of the diagonal that is tried, one after the other, where a given covariance does not factorise.
+const JITTER: [f64; 6] = [0.0, 1e-15, 1e-14, 1e-13, 1e-11, 1e-9];
+
+/// Mean and covariance of a state.
+///
+/// ```
+/// use geomag_core::kalman::Estimate;
+/// let state = Estimate::new(&[1.0, 2.0], &[4.0, 1.0, 1.0, 9.0])?;
+/// assert!((state.covariance()[(0, 1)] - 1.0).abs() < 1e-15);
+/// # Ok::<(), geomag_core::error::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    pub(super) mean: DVector<f64>,
+    pub(super) factor: DMatrix<f64>,
+    pub(super) regularisations: u64,
+}
+
+/// What a measurement was against what was expected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Innovation {
+    /// Measured minus expected.
+    pub residual: DVector<f64>,
+    /// Its covariance, measurement noise included.
+    pub covariance: DMatrix<f64>,
+    /// Normalised innovation squared: chi-square with as many degrees of freedom as numbers measured.
+    pub nis: f64,
+    /// Kalman gain.
+    pub gain: DMatrix<f64>,
+    /// Whether the state was corrected: false where the gate refused the measurement.
+    pub accepted: bool,
+}
+
+impl Estimate {
+    /// From a mean of n numbers and a symmetric positive definite covariance, row-major, n x n.
+    ///
+    /// A covariance that is indefinite by rounding gets its diagonal raised by up to a billionth of itself, which is
+    /// counted in [`Estimate::regularisations`].
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (not symmetric), [`Error::NotPositiveDefinite`].
+    pub fn new(mean: &[f64], covariance: &[f64]) -> Result<Self> {
+        let n = mean.len();
+        if n == 0 {
+            return Err(Error::shape("state x", "at least one number", "none"));
+        }
+        require_finite("state x", mean)?;
+        let covariance = square("covariance P", n, covariance)?;
+        let (factor, regularised) = factorise("covariance P", &covariance)?;
+        Ok(Self { mean: DVector::from_column_slice(mean), factor, regularisations: u64::from(regularised) })
+    }
+
+    /// Takes a new mean and covariance of the same size; regularisations go on being counted.
+    pub(super) fn set(&mut self, mean: &[f64], covariance: &[f64]) -> Result<()> {
+        if mean.len() != self.len() {
+            return Err(Error::shape("state x", format!("({},)", self.len()), format!("({},)", mean.len())));
+        }
+        let new = Self::new(mean, covariance)?;
+        *self = Self { regularisations: self.regularisations + new.regularisations, ..new };
+        Ok(())
+    }
+
+    /// Number of states.
+    pub fn len(&self) -> usize {
+        self.mean.len()
+    }
+
+    /// Whether there is none: never.
+    pub fn is_empty(&self) -> bool {
+        self.mean.is_empty()
+    }
+
+    /// The mean.
+    pub fn mean(&self) -> &[f64] {
+        self.mean.as_slice()
+    }
+
+    /// The covariance, symmetric to the last bit.
+    pub fn covariance(&self) -> DMatrix<f64> {
+        outer(&self.factor)
+    }
+
+    /// The lower Cholesky factor of the covariance.
+    pub fn factor(&self) -> &DMatrix<f64> {
+        &self.factor
+    }
+
+    /// How often a pivot had to be raised to keep the covariance positive definite.
+    pub fn regularisations(&self) -> u64 {
+        self.regularisations
+    }
+
+    /// Adds to the mean, the covariance as it is: for states that are kept about a moving origin.
+    pub(crate) fn shift(&mut self, by: &[f64]) {
+        for (m, b) in self.mean.iter_mut().zip(by) {
+            *m += b;
+        }
+    }
+
+    /// Takes a new mean and a covariance given as columns whose outer products add up to it.
+    pub(super) fn replace(&mut self, mean: DVector<f64>, columns: DMatrix<f64>) -> Result<()> {
+        require_finite("predicted state", mean.as_slice())?;
+        let mut factor = triangular(columns);
+        require_finite("predicted covariance", factor.as_slice())?;
+        let raised = raise_pivots(&mut factor, &self.factor);
+        self.mean = mean;
+        self.factor = factor;
+        self.regularisations += u64::from(raised);
+        Ok(())
+    }
+
+    /// The same from the full covariance.
+    pub(super) fn replace_full(&mut self, mean: DVector<f64>, covariance: &DMatrix<f64>, what: &str) -> Result<()> {
+        require_finite(what, mean.as_slice())?;
+        require_finite(what, covariance.as_slice())?;
+        let (factor, regularised) = factorise(what, covariance)?;
+        self.mean = mean;
+        self.factor = factor;
+        self.regularisations += u64::from(regularised);
+        Ok(())
+    }
+
+    /// Corrects the state with an innovation.
+    ///
+    /// `joint` holds columns whose outer products add up to the joint covariance of measurement (first rows) and state.
+    /// An orthogonal transformation makes it `[[Sy, 0], [K Sy, L]]`: `Sy` is the factor of the innovation covariance and
+    /// `L` that of the corrected covariance, `P - K S K'` without a subtraction.
+    pub(super) fn correct(
+        &mut self,
+        residual: DVector<f64>,
+        joint: DMatrix<f64>,
+        gate: Option<f64>,
+    ) -> Result<Innovation> {
+        let (m, n) = (residual.len(), self.len());
+        require_finite("innovation", residual.as_slice())?;
+        let lower = triangular(joint);
+        require_finite("joint covariance of measurement and state", lower.as_slice())?;
+        let mut root = lower.view((0, 0), (m, m)).into_owned();
+        for i in 0..m {
+            let row = root.row(i).norm();
+            if row == 0.0 {
+                return Err(Error::NotPositiveDefinite {
+                    what: "innovation covariance".into(),
+                    detail: format!("measurement {i} has no noise and does not depend on the state"),
+                });
+            }
+            root[(i, i)] = root[(i, i)].max(LEAST_INNOVATION * row);
+        }
+        let cross = lower.view((m, 0), (n, m)).into_owned();
+        let Some(whitened) = root.solve_lower_triangular(&residual) else {
+            return Err(not_definite("innovation covariance"));
+        };
+        let nis = whitened.norm_squared();
+        let Some(gain) = root.tr_solve_lower_triangular(&cross.transpose()) else {
+            return Err(not_definite("innovation covariance"));
+        };
+        let accepted = gate.is_none_or(|limit| nis <= limit);
+        let innovation = Innovation { residual, covariance: outer(&root), nis, gain: gain.transpose(), accepted };
+        if accepted {
+            let mean = &self.mean + &cross * whitened;
+            require_finite("corrected state", mean.as_slice())?;
+            let mut factor = lower.view((m, m), (n, n)).into_owned();
+            let raised = raise_pivots(&mut factor, &self.factor);
+            self.mean = mean;
+            self.factor = factor;
+            self.regularisations += u64::from(raised);
+        }
+        Ok(innovation)
+    }
+
+    /// The textbook form, for weights under which the columns of [`Estimate::correct`] would be imaginary.
+    pub(super) fn correct_full(
+        &mut self,
+        residual: DVector<f64>,
+        innovation: &DMatrix<f64>,
+        cross: &DMatrix<f64>,
+        gate: Option<f64>,
+    ) -> Result<Innovation> {
+        require_finite("innovation", residual.as_slice())?;
+        require_finite("innovation covariance", innovation.as_slice())?;
+        let (root, regularised) = factorise("innovation covariance", innovation)?;
+        let whitened = root.solve_lower_triangular(&residual).ok_or_else(|| not_definite("innovation covariance"))?;
+        let half =
+            root.solve_lower_triangular(&cross.transpose()).ok_or_else(|| not_definite("innovation covariance"))?;
+        let gain = root.tr_solve_lower_triangular(&half).ok_or_else(|| not_definite("innovation covariance"))?;
+        let nis = whitened.norm_squared();
+        let accepted = gate.is_none_or(|limit| nis <= limit);
+        if accepted {
+            let mean = &self.mean + half.transpose() * &whitened;
+            let covariance = self.covariance() - half.transpose() * &half;
+            self.replace_full(mean, &covariance, "corrected covariance")?;
+            self.regularisations += u64::from(regularised);
+        }
+        Ok(Innovation { residual, covariance: outer(&root), nis, gain: gain.transpose(), accepted })
+    }
+}
+
+fn not_definite(what: &str) -> Error {
+    Error::NotPositiveDefinite { what: what.into(), detail: "a pivot is zero".into() }
+}
+
+/// `L L'`, both triangles from the same numbers.
+pub(super) fn outer(factor: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = factor.nrows();
+    let mut out = DMatrix::zeros(n, n);
+    for i in 0..n {
+        for j in 0..=i {
+            let sum = (0..=j).map(|k| factor[(i, k)] * factor[(j, k)]).sum();
+            out[(i, j)] = sum;
+            out[(j, i)] = sum;
+        }
+    }
+    out
+}
+
+/// A symmetric matrix from row-major numbers.
+pub(super) fn square(what: &str, n: usize, values: &[f64]) -> Result<DMatrix<f64>> {
+    if values.len() != n * n {
+        return Err(Error::shape(what, format!("({n}, {n})"), format!("{} numbers", values.len())));
+    }
+    require_finite(what, values)?;
+    let matrix = DMatrix::from_row_slice(n, n, values);
+    for i in 0..n {
+        for j in 0..i {
+            let size = (matrix[(i, i)].abs() * matrix[(j, j)].abs()).sqrt();
+            if (matrix[(i, j)] - matrix[(j, i)]).abs() > 1e-8 * size.max(f64::MIN_POSITIVE) {
+                return Err(Error::invalid(
+                    format!("{what}[{i}][{j}]"),
+                    "a symmetric matrix",
+                    format!("{} against {}", matrix[(i, j)], matrix[(j, i)]),
+                ));
+            }
+        }
+    }
+    Ok(matrix)
+}
+
+/// Lower Cholesky factor; where it fails, with the diagonal raised by a bounded share of itself. Whether it was.
+fn factorise(what: &str, matrix: &DMatrix<f64>) -> Result<(DMatrix<f64>, bool)> {
+    for jitter in JITTER {
+        if let Some(mut factor) = cholesky(matrix, jitter) {
+            let before = factor.clone();
+            let raised = raise_pivots(&mut factor, &before);
+            return Ok((factor, raised || jitter > 0.0));
+        }
+    }
+    Err(Error::NotPositiveDefinite {
+        what: what.into(),
+        detail: format!("even with its diagonal raised by {:e} of itself", JITTER[JITTER.len() - 1]),
+    })
+}
+
+fn cholesky(matrix: &DMatrix<f64>, jitter: f64) -> Option<DMatrix<f64>> {
+    let n = matrix.nrows();
+    let mut l = DMatrix::zeros(n, n);
+    for j in 0..n {
+        let mut pivot = matrix[(j, j)] * (1.0 + jitter);
+        for k in 0..j {
+            pivot -= l[(j, k)] * l[(j, k)];
+        }
+        if !(pivot > 0.0) {
+            return None;
+        }
+        let pivot: f64 = pivot.sqrt();
+        l[(j, j)] = pivot;
+        for i in j + 1..n {
+            let mut sum = 0.5 * (matrix[(i, j)] + matrix[(j, i)]);
+            for k in 0..j {
+                sum -= l[(i, k)] * l[(j, k)];
+            }
+            l[(i, j)] = sum / pivot;
+        }
+    }
+    Some(l)
+}
+
+/// A factor of a positive semidefinite matrix (process or measurement noise), row-major n x n: zero rows stay zero.
+pub(crate) fn noise_factor(what: &str, n: usize, values: &[f64]) -> Result<DMatrix<f64>> {
+    let matrix = square(what, n, values)?;
+    let mut l = DMatrix::zeros(n, n);
+    for j in 0..n {
+        let mut pivot: f64 = matrix[(j, j)];
+        for k in 0..j {
+            pivot -= l[(j, k)] * l[(j, k)];
+        }
+        let rounding = 16.0 * n as f64 * f64::EPSILON * matrix[(j, j)].abs();
+        if pivot < -rounding || matrix[(j, j)] < 0.0 {
+            return Err(Error::NotPositiveDefinite {
+                what: what.into(),
+                detail: format!("pivot {j} is {pivot:e}; noise may be zero but not negative"),
+            });
+        }
+        let root = pivot.max(0.0).sqrt();
+        if pivot > rounding {
+            l[(j, j)] = root;
+        }
+        for i in j + 1..n {
+            let mut sum = matrix[(i, j)];
+            for k in 0..j {
+                sum -= l[(i, k)] * l[(j, k)];
+            }
+            if pivot > rounding {
+                l[(i, j)] = sum / root;
+            } else if sum.abs() > 1e-7 * (matrix[(i, i)].abs() * matrix[(j, j)].abs()).sqrt() {
+                return Err(Error::NotPositiveDefinite {
+                    what: what.into(),
+                    detail: format!("covariance {sum:e} between {i} and {j}, of which one has no variance left"),
+                });
+            }
+        }
+    }
+    Ok(l)
+}
+
+/// Raises the pivots that rounding has eaten. Whether any was.
+///
+/// Pivots may be small one after the other, and then the product of the factors has lost what they say: where it does
+/// not factorise any more, its diagonal is raised by as little as does.
+fn raise_pivots(factor: &mut DMatrix<f64>, before: &DMatrix<f64>) -> bool {
+    let (mut raised, mut doubtful) = (false, false);
+    for i in 0..factor.nrows() {
+        let norm = factor.row(i).norm();
+        let least = (LEAST_PIVOT * norm).max(LEAST_SPREAD * before.row(i).norm()).max(f64::MIN_POSITIVE.sqrt());
+        doubtful |= factor[(i, i)] < DOUBTFUL_PIVOT * norm;
+        if factor[(i, i)] < least {
+            factor[(i, i)] = least;
+            raised = true;
+        }
+    }
+    if doubtful {
+        let covariance = outer(factor);
+        for jitter in JITTER {
+            let Some(mended) = cholesky(&covariance, jitter) else { continue };
+            if jitter == 0.0 {
+                break;
+            }
+            if cholesky(&outer(&mended), 0.0).is_some() {
+                *factor = mended;
+                return true;
+            }
+        }
+    }
+    raised
+}
+
+/// The lower triangular matrix with a positive diagonal that has the same product with its transpose: Householder
+/// reflections of the rows.
+pub(super) fn triangular(columns: DMatrix<f64>) -> DMatrix<f64> {
+    let n = columns.nrows();
+    // Rows become columns, which lie together in memory.
+    let mut a = columns.transpose();
+    let k = a.nrows();
+    let mut lower = DMatrix::zeros(n, n);
+    for j in 0..n {
+        if j >= k {
+            break;
+        }
+        let scale = a.view((j, j), (k - j, 1)).amax();
+        let head = a[(j, j)];
+        let diagonal = if scale > 0.0 {
+            let norm = scale * (j..k).map(|i| (a[(i, j)] / scale).powi(2)).sum::<f64>().sqrt();
+            let alpha = if head > 0.0 { -norm } else { norm };
+            // v = x - alpha e1, H = I - 2 v v' / v'v; v'v = 2 norm (norm + |x1|).
+            a[(j, j)] = head - alpha;
+            let (left, mut right) = a.columns_range_pair_mut(j, j + 1..n);
+            let v = left.rows(j, k - j);
+            let beta = 1.0 / (norm * (norm + head.abs()));
+            for mut column in right.column_iter_mut() {
+                let mut part = column.rows_mut(j, k - j);
+                let factor = -beta * v.dot(&part);
+                part.axpy(factor, &v, 1.0);
+            }
+            alpha
+        } else {
+            0.0
+        };
+        let sign = if diagonal < 0.0 { -1.0 } else { 1.0 };
+        lower[(j, j)] = sign * diagonal;
+        for i in j + 1..n {
+            lower[(i, j)] = sign * a[(j, i)];
+        }
+    }
+    lower
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangular_keeps_the_product() {
+        let columns = DMatrix::from_fn(4, 9, |i, j| ((3 * i + 7 * j) as f64).sin() * 10_f64.powi(3 * i as i32 - 5));
+        let expected = &columns * columns.transpose();
+        let found = outer(&triangular(columns));
+        for i in 0..4 {
+            for j in 0..4 {
+                let size = (expected[(i, i)] * expected[(j, j)]).sqrt();
+                assert!((expected[(i, j)] - found[(i, j)]).abs() < 1e-14 * size);
+            }
+        }
+        let narrow = triangular(DMatrix::from_row_slice(3, 1, &[1.0, -2.0, 0.0]));
+        assert_eq!(narrow, DMatrix::from_row_slice(3, 3, &[1.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
+    }
+
+    #[test]
+    fn beta_does_not_overflow_for_large_and_small_rows() {
+        for scale in [1e-150, 1.0, 1e150] {
+            let found = triangular(DMatrix::from_row_slice(1, 2, &[3.0 * scale, 4.0 * scale]));
+            assert!((found[(0, 0)] / scale - 5.0).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn noise_may_be_zero_but_not_negative() {
+        assert_eq!(noise_factor("Q", 2, &[0.0; 4]).unwrap(), DMatrix::zeros(2, 2));
+        let one = noise_factor("Q", 2, &[4.0, 2.0, 2.0, 1.0]).unwrap();
+        assert_eq!(outer(&one), DMatrix::from_row_slice(2, 2, &[4.0, 2.0, 2.0, 1.0]));
+        assert!(matches!(noise_factor("Q", 1, &[-1.0]), Err(Error::NotPositiveDefinite { .. })));
+        assert!(matches!(noise_factor("Q", 2, &[0.0, 1.0, 1.0, 1.0]), Err(Error::NotPositiveDefinite { .. })));
+        assert!(matches!(noise_factor("Q", 2, &[1.0, 2.0, 0.0, 1.0]), Err(Error::Invalid { .. })));
+    }
+
+    #[test]
+    fn bad_states_are_refused() {
+        assert!(matches!(Estimate::new(&[1.0], &[-1.0]), Err(Error::NotPositiveDefinite { .. })));
+        assert!(matches!(Estimate::new(&[f64::NAN], &[1.0]), Err(Error::NotFinite { .. })));
+        assert!(matches!(Estimate::new(&[1.0, 2.0], &[1.0]), Err(Error::Shape { .. })));
+        assert!(Estimate::new(&[], &[]).is_err());
+        // Indefinite by rounding alone: mended and counted.
+        let mended = Estimate::new(&[0.0, 0.0], &[1.0, 1.0, 1.0, 1.0 - 1e-16]).unwrap();
+        assert_eq!(mended.regularisations(), 1);
+    }
+}

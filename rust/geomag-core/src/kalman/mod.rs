@@ -1,0 +1,19 @@
+//! Kalman filters for any state and any measurement: vectors, not magnetism.
+//!
+//! The unscented and the extended filter carry the Cholesky factor of their covariance and turn it by orthogonal
+//! transformations, so that the covariance is symmetric positive definite by construction (Kaminski, Bryson & Schmidt
+//! 1971; Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, sect. 3.2.8).
+
+mod consistency;
+pub mod error_state;
+mod estimate;
+mod extended;
+mod unscented;
+
+pub use consistency::{chi_square_cdf, chi_square_quantile};
+pub use estimate::{Estimate, Innovation};
+pub use extended::ExtendedKalmanFilter;
+pub use unscented::{Scaling, UnscentedKalmanFilter};
+
+#[cfg(test)]
+mod tests;

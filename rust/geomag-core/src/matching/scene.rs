@@ -1,0 +1,252 @@
+//! The ground that contour matching and its refinement share: channels, samples laid out in metres, motion parameters.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, require_finite, require_not_negative};
+use crate::field::Field;
+use crate::frame::displacement_m;
+use crate::grid::{GridMap, Interpolation};
+use crate::matching::closest::cell_size_m;
+use crate::track::Track;
+
+/// One field along the track: a map, what was measured of it, and how well.
+///
+/// Several channels are matched at once: two or three components of one field, or magnetics and gravity together. Their
+/// maps must use the same coordinates; spacing and extent are each map's own.
+#[derive(Debug, Clone, Copy)]
+pub struct Channel<'a> {
+    /// The map.
+    pub map: &'a GridMap,
+    /// One measured value a sample of the track.
+    pub values: &'a [f64],
+    /// Standard deviation of the measurement, map units; `None` where it is not known.
+    pub sigma: Option<f64>,
+}
+
+/// What is known beforehand of the INS error at the newest point; infinity is "nothing", `None` "not looked for".
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Priors {
+    /// Standard deviation of the offset in each axis, metres; `None` is as infinity, for the offset is what is sought.
+    pub offset_sigma_m: Option<f64>,
+    /// Standard deviation of the heading error, degrees; `None` holds the indicated heading.
+    pub heading_sigma_deg: Option<f64>,
+    /// Standard deviation of the scale (speed) error, a ratio; `None` holds the indicated scale.
+    pub scale_sigma: Option<f64>,
+    /// Standard deviation of a constant in the measurement, map units; `None` takes it to be zero.
+    pub bias_sigma: Option<f64>,
+}
+
+impl Priors {
+    /// Refuses standard deviations that are not positive (infinity is allowed).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check(&self) -> Result<()> {
+        for (name, value) in [
+            ("offset_sigma_m", self.offset_sigma_m),
+            ("heading_sigma_deg", self.heading_sigma_deg),
+            ("scale_sigma", self.scale_sigma),
+            ("bias_sigma", self.bias_sigma),
+        ] {
+            if let Some(v) = value
+                && (v.is_nan() || v <= 0.0)
+            {
+                return Err(Error::invalid(name, "a number > 0 (infinity: no prior; leave it out: not estimated)", v));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether any of them bounds the motion.
+    pub fn bound_motion(&self) -> bool {
+        [self.offset_sigma_m, self.heading_sigma_deg, self.scale_sigma].iter().flatten().any(|s| s.is_finite())
+    }
+}
+
+/// Motion of the indicated track about its newest point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Motion {
+    /// Offset of the newest point, metres `[east, north]`.
+    pub offset_m: [f64; 2],
+    /// Rotation of the track, clockwise, radians: true minus indicated heading.
+    pub heading_rad: f64,
+    /// True over indicated distance, less one.
+    pub stretch: f64,
+}
+
+impl Motion {
+    /// A pure offset.
+    pub const fn offset(offset_m: [f64; 2]) -> Self {
+        Self { offset_m, heading_rad: 0.0, stretch: 0.0 }
+    }
+
+    /// Displacement, metres, of a point at `lever` metres from the newest point.
+    #[inline]
+    pub fn displacement(&self, lever: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.heading_rad.sin_cos();
+        let scale = 1.0 + self.stretch;
+        [
+            self.offset_m[0] + scale * (cos * lever[0] + sin * lever[1]) - lever[0],
+            self.offset_m[1] + scale * (cos * lever[1] - sin * lever[0]) - lever[1],
+        ]
+    }
+}
+
+/// Where a sample lies in one channel's map: cells from its first node, and cells per metre.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Placement {
+    pub base: [f64; 2],
+    pub cell_m: [f64; 2],
+}
+
+impl Placement {
+    #[inline]
+    pub fn position(&self, displacement: [f64; 2]) -> [f64; 2] {
+        [self.base[0] + displacement[0] / self.cell_m[0], self.base[1] + displacement[1] / self.cell_m[1]]
+    }
+}
+
+/// A track laid out on its channels. Displacements are metres east and north at each sample's own latitude; levers are
+/// metres from the newest point. A rotation in degrees of longitude and latitude would be none.
+#[derive(Debug)]
+pub(crate) struct Scene<'a> {
+    pub channels: &'a [Channel<'a>],
+    pub track: &'a Track,
+    pub levers: Vec<[f64; 2]>,
+    /// Channel by channel, one placement a sample.
+    pub placements: Vec<Vec<Placement>>,
+    pub weights: Option<&'a [f64]>,
+}
+
+impl<'a> Scene<'a> {
+    pub fn new(channels: &'a [Channel<'a>], track: &'a Track, weights: Option<&'a [f64]>) -> Result<Self> {
+        let Some(first) = channels.first() else {
+            return Err(Error::invalid("channels", "at least one", 0));
+        };
+        let n = track.len();
+        for (c, channel) in channels.iter().enumerate() {
+            if channel.values.len() != n {
+                return Err(Error::shape(
+                    format!("channel {c} values"),
+                    format!("({n},) as the track"),
+                    format!("({},)", channel.values.len()),
+                ));
+            }
+            require_finite(&format!("channel {c} values"), channel.values)?;
+            if let Some(sigma) = channel.sigma {
+                require_not_negative(&format!("channel {c} sigma"), sigma)?;
+            }
+            if channel.map.geographic() != first.map.geographic() {
+                return Err(Error::invalid(
+                    format!("channel {c} map"),
+                    "the same kind of coordinates as the first",
+                    "a mixture of geographic and projected maps",
+                ));
+            }
+        }
+        if let Some(w) = weights {
+            if w.len() != n {
+                return Err(Error::shape("weights", format!("({n},) as the track"), format!("({},)", w.len())));
+            }
+            require_finite("weights", w)?;
+            if let Some(i) = w.iter().position(|&w| w < 0.0) {
+                return Err(Error::invalid(format!("weights[{i}]"), "a weight >= 0", w[i]));
+            }
+            if w.iter().all(|&w| w == 0.0) {
+                return Err(Error::invalid("weights", "at least one weight > 0", "only zeros"));
+            }
+        }
+        let geographic = first.map.geographic();
+        let newest = track.newest();
+        let levers = (0..n).map(|k| displacement_m(geographic, newest, track.point(k))).collect();
+        let placements = channels
+            .iter()
+            .map(|channel| {
+                (0..n)
+                    .map(|k| {
+                        let [x, y] = track.point(k);
+                        Placement { base: channel.map.position(x, y), cell_m: cell_size_m(channel.map, y) }
+                    })
+                    .collect()
+            })
+            .collect();
+        Ok(Self { channels, track, levers, placements, weights })
+    }
+
+    pub fn len(&self) -> usize {
+        self.track.len()
+    }
+
+    pub fn weight(&self, k: usize) -> f64 {
+        self.weights.map_or(1.0, |w| w[k])
+    }
+
+    /// Map value and gradient per metre of channel `c` at sample `k` moved by `displacement` metres.
+    #[inline]
+    pub fn sample(&self, c: usize, k: usize, displacement: [f64; 2], method: Interpolation) -> (f64, [f64; 2]) {
+        let placement = &self.placements[c][k];
+        let [px, py] = placement.position(displacement);
+        let (value, [dx, dy]) = self.channels[c].map.at_position(px, py, method);
+        (value, [dx / placement.cell_m[0], dy / placement.cell_m[1]])
+    }
+
+    /// Root mean square gradient of channel `c` along the moved track, value units per metre; zero where it is unknown.
+    pub fn rms_gradient(&self, c: usize, displacement: [f64; 2]) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0_f64);
+        for k in 0..self.len() {
+            let (_, [east, north]) = self.sample(c, k, displacement, Interpolation::Bilinear);
+            if east.is_finite() && north.is_finite() {
+                sum += east * east + north * north;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 { (sum / count).sqrt() } else { 0.0 }
+    }
+
+    /// Mean square of measured minus map value over the samples on the map, in units of each channel's own sigma where
+    /// there are several; `None` where fewer than `min_samples` samples are on the map.
+    pub fn misfit(&self, displacement: &dyn Fn(usize) -> [f64; 2], unbiased: bool, min_samples: usize) -> Option<f64> {
+        let (mut total, mut weight_total) = (0.0, 0.0);
+        let mut seen = 0;
+        for (c, channel) in self.channels.iter().enumerate() {
+            let unit = if self.channels.len() > 1 { channel.sigma.filter(|s| *s > 0.0).unwrap_or(1.0) } else { 1.0 };
+            let (mut w0, mut w1, mut w2) = (0.0, 0.0, 0.0);
+            for k in 0..self.len() {
+                let (value, _) = self.sample(c, k, displacement(k), Interpolation::Bilinear);
+                let r = (channel.values[k] - value) / unit;
+                if r.is_finite() {
+                    let w = self.weight(k);
+                    seen += 1;
+                    w0 += w;
+                    w1 += w * r;
+                    w2 += w * r * r;
+                }
+            }
+            if w0 > 0.0 {
+                total += if unbiased { (w2 - w1 * w1 / w0).max(0.0) } else { w2 };
+                weight_total += w0;
+            }
+        }
+        (seen >= min_samples && weight_total > 0.0).then(|| total / weight_total)
+    }
+
+    /// Points of the track moved by displacements, map units.
+    pub fn moved(&self, displacements: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let map = self.channels[0].map;
+        displacements
+            .iter()
+            .enumerate()
+            .map(|(k, d)| {
+                let [x, y] = self.track.point(k);
+                let [east, north] = map.metres_per_unit(y);
+                [map.wrap_x(x + d[0] / east), y + d[1] / north]
+            })
+            .collect()
+    }
+
+    /// The offset in map units at the newest point for a displacement there.
+    pub fn newest_offset(&self, displacement: [f64; 2]) -> [f64; 2] {
+        let [east, north] = self.channels[0].map.metres_per_unit(self.track.newest()[1]);
+        [displacement[0] / east, displacement[1] / north]
+    }
+}

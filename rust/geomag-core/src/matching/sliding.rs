@@ -1,0 +1,205 @@
+//! Contour matching over a sliding window: a fix a sample instead of a fix a batch [ICCP-G].
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, require_finite, require_positive};
+use crate::field::Field;
+use crate::fix::{Fix, Status};
+use crate::frame::displacement_m;
+use crate::grid::GridMap;
+use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
+use crate::matching::refine::answer;
+use crate::matching::scene::{Channel, Motion, Scene};
+use crate::matching::transform::Transform;
+use crate::track::Track;
+
+/// A sample of the window with the sum of the estimates that were made of its displacement.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Entry {
+    number: usize,
+    x: f64,
+    y: f64,
+    value: f64,
+    weight: f64,
+    /// Weighted sum of displacements, metres east and north.
+    sum: [f64; 2],
+    estimates: usize,
+}
+
+/// A position estimated from every window that it was in.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AveragedPoint {
+    /// Number of the sample since the start, from 0.
+    pub number: usize,
+    /// Weighted mean of its estimates, map units.
+    pub x: f64,
+    /// Weighted mean of its estimates, map units.
+    pub y: f64,
+    /// How many windows estimated it; with none the position is the indicated one.
+    pub estimates: usize,
+}
+
+/// What a sliding window remembers: all of it can be saved, and goes on bit for bit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SlidingState {
+    length: usize,
+    floor_m: f64,
+    sigma: Option<f64>,
+    options: ContourOptions,
+    entries: VecDeque<Entry>,
+    count: usize,
+    /// The last window's transform about its newest point, and that point.
+    last: Option<(Transform, [f64; 2])>,
+    settled: Option<AveragedPoint>,
+}
+
+impl SlidingState {
+    /// An empty window of `length` samples.
+    ///
+    /// `floor_m` is the least contour distance that the averaging believes: the weight of a window's estimates is
+    /// `1 / max(mean squared contour distance, floor_m^2)`. (The weights printed in the source are illegible.)
+    ///
+    /// # Errors
+    /// Options that [`ContourOptions::check`] refuses, a length shorter than the transform needs, a floor that is not
+    /// positive.
+    pub fn new(length: usize, sigma: Option<f64>, floor_m: f64, options: ContourOptions) -> Result<Self> {
+        options.check()?;
+        require_positive("floor_m", floor_m)?;
+        if let Some(sigma) = sigma {
+            crate::error::require_not_negative("sigma", sigma)?;
+        }
+        let least = options.transform.min_points().max(2);
+        if length < least {
+            return Err(Error::TooFewSamples {
+                what: format!("length of a sliding window under a {} transform", options.transform.as_str()),
+                needed: least,
+                got: length,
+            });
+        }
+        Ok(Self {
+            length,
+            floor_m,
+            sigma,
+            options,
+            entries: VecDeque::with_capacity(length.min(4096)),
+            count: 0,
+            last: None,
+            settled: None,
+        })
+    }
+
+    /// Samples in a full window.
+    pub fn length(&self) -> usize {
+        self.length
+    }
+
+    /// Samples taken so far.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The sample that left the window last, with the weighted mean of all its estimates: the delayed answer.
+    pub fn settled(&self) -> Option<AveragedPoint> {
+        self.settled
+    }
+
+    /// The samples of the window, oldest first, each with the weighted mean of its estimates so far.
+    pub fn averaged(&self, map: &GridMap) -> Vec<AveragedPoint> {
+        self.entries.iter().map(|e| averaged(map, e)).collect()
+    }
+
+    /// Takes a sample in, the oldest one leaving a full window, and matches the window, starting where the last window
+    /// ended (the first one, and one after a loss, where the options say). Until the window is full the status is `searching` and there is no position.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`] for a sample that is not finite; the window is as before.
+    pub fn update(&mut self, map: &GridMap, x: f64, y: f64, value: f64) -> Result<Fix> {
+        require_finite("sample [x, y, value]", &[x, y, value])?;
+        if self.entries.len() == self.length
+            && let Some(oldest) = self.entries.pop_front()
+        {
+            self.settled = Some(averaged(map, &oldest));
+        }
+        self.entries.push_back(Entry { number: self.count, x, y, value, weight: 0.0, sum: [0.0; 2], estimates: 0 });
+        self.count += 1;
+        if self.entries.len() < self.length {
+            return Ok(Fix::none(Status::Searching, self.entries.len()));
+        }
+        let column = |get: &dyn Fn(&Entry) -> f64| self.entries.iter().map(get).collect::<Vec<f64>>();
+        let track = Track::new(column(&|e| e.x), column(&|e| e.y), column(&|e| e.value), None)?;
+        self.match_window(map, &track)
+    }
+
+    fn match_window(&mut self, map: &GridMap, track: &Track) -> Result<Fix> {
+        let channels = [Channel { map, values: track.values(), sigma: self.sigma }];
+        let scene = Scene::new(&channels, track, None)?;
+        let matcher = Iccp::new(&scene, &self.options)?;
+        let starts = self.starts(map, track, &scene);
+        let outcomes: Vec<_> = starts.iter().map(|&start| matcher.run(start)).collect();
+        let in_reach = winner(&outcomes).filter(|&best| outcomes[best].end != End::OutOfReach);
+        let (fix, transform, distance_squared) = if self.options.refine {
+            let motions: Vec<Motion> = starts
+                .iter()
+                .chain(outcomes.iter().filter(|o| o.end != End::OutOfReach).map(|o| &o.transform))
+                .map(motion_of)
+                .collect();
+            let iterations = in_reach.map_or(0, |best| outcomes[best].iterations);
+            let fix = answer(&scene, &self.options.effective_refinement(), &motions, iterations, None);
+            if fix.x.is_nan() {
+                self.last = None;
+                return Ok(fix);
+            }
+            let offset_m = displacement_m(map.geographic(), track.newest(), [fix.x, fix.y]);
+            let refined = Transform::similarity(-fix.heading_deg.to_radians(), fix.scale, offset_m);
+            // Where contours are out of reach the refinement's own spread stands for the distance.
+            let spread = fix.covariance_m2.map_or(f64::INFINITY, |c| c[0][0] + c[1][1]);
+            let distance_squared = matcher.distance_squared(&refined).unwrap_or(spread);
+            (fix, refined, distance_squared)
+        } else if let Some(best) = in_reach {
+            (matcher.fix(&outcomes, best), outcomes[best].transform, outcomes[best].distance_squared)
+        } else {
+            // Nothing to go on from: the next window starts anew.
+            self.last = None;
+            return Ok(Fix::none(Status::Lost, track.len()));
+        };
+        let weight = 1.0 / distance_squared.max(self.floor_m * self.floor_m);
+        for (entry, lever) in self.entries.iter_mut().zip(&scene.levers) {
+            let moved = transform.apply(*lever);
+            entry.weight += weight;
+            entry.sum[0] += weight * (moved[0] - lever[0]);
+            entry.sum[1] += weight * (moved[1] - lever[1]);
+            entry.estimates += 1;
+        }
+        self.last = Some((transform, track.newest()));
+        Ok(fix)
+    }
+}
+
+impl SlidingState {
+    /// Where the window starts: where the last one ended, or, without one, where the options say.
+    fn starts(&self, map: &GridMap, track: &Track, scene: &Scene<'_>) -> Vec<Transform> {
+        let Some((t, newest)) = self.last else {
+            let least = ((self.options.refinement.min_overlap * track.len() as f64).ceil() as usize).max(1);
+            let unbiased = self.options.refinement.priors.bias_sigma.is_some();
+            let offsets = self.options.starts.offsets(scene, unbiased, least);
+            return offsets.into_iter().map(|shift| Transform { shift, ..Transform::IDENTITY }).collect();
+        };
+        // The same motion, told about the point that is now the newest.
+        let lever = displacement_m(map.geographic(), newest, track.newest());
+        let moved = t.apply(lever);
+        vec![Transform { matrix: t.matrix, shift: [moved[0] - lever[0], moved[1] - lever[1]] }]
+    }
+}
+
+fn averaged(map: &GridMap, e: &Entry) -> AveragedPoint {
+    let [east, north] = map.metres_per_unit(e.y);
+    let mean = |i: usize| if e.weight > 0.0 { e.sum[i] / e.weight } else { 0.0 };
+    AveragedPoint {
+        number: e.number,
+        x: map.wrap_x(e.x + mean(0) / east),
+        y: e.y + mean(1) / north,
+        estimates: e.estimates,
+    }
+}

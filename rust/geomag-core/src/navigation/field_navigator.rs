@@ -1,0 +1,714 @@
+//! Navigation on a field without an INS: speed, course and a field sensor [Zhao et al. 2012].
+//!
+//! Motion: `east += dt v sin c`, `north += dt v cos c`, with speed `v` and course `c` as indicated plus their estimated
+//! errors. Measurement: the field at the position plus the sensor's estimated bias.
+
+use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+
+use super::sensing::Sensing;
+use crate::error::{Error, Result, require_finite, require_not_negative};
+use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, Scaling, UnscentedKalmanFilter, chi_square_quantile};
+
+/// Innovations over which the filter is judged.
+const WINDOW: usize = 20;
+/// Rejections in a row that count as divergence.
+const MANY_REJECTIONS: u32 = 10;
+/// Standard normal deviate of the probability (1e-5) with which an honest filter is called divergent at a step.
+const DIVERGENCE_DEVIATE: f64 = 4.265;
+
+/// Which filter carries the state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Method {
+    /// Sigma points through the field.
+    #[default]
+    Unscented,
+    /// The field's gradient at the mean.
+    Extended,
+}
+
+/// How the navigator starts and what it believes.
+///
+/// A standard deviation of zero for speed, heading or bias leaves that state out. A *walk* is the growth of the standard
+/// deviation of a state in the square root of a second.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NavigatorOptions {
+    /// Start, map coordinates `[x, y]`.
+    pub start: [f64; 2],
+    /// Covariance of the start, square metres, east-north.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Process noise of each coordinate, square metres a second.
+    pub position_noise_m2_s: f64,
+    /// Standard deviation of the indicated speed's error, metres a second.
+    pub speed_sigma_m_s: f64,
+    /// Its walk.
+    pub speed_walk: f64,
+    /// Standard deviation of the indicated course's error, degrees.
+    pub heading_sigma_deg: f64,
+    /// Its walk.
+    pub heading_walk_deg: f64,
+    /// Standard deviation of the sensor's constant error, field unit (each component).
+    pub bias_sigma: f64,
+    /// Its walk.
+    pub bias_walk: f64,
+    /// Standard deviation of a reading, field unit: one for all components or one each.
+    pub reading_sigma: Vec<f64>,
+    /// Whether the field's own standard deviation is added.
+    pub field_sigma: bool,
+    /// Probability within which a reading must lie to be used; `None` uses all.
+    pub gate: Option<f64>,
+    /// The filter.
+    pub method: Method,
+    /// Its sigma points.
+    pub scaling: Scaling,
+}
+
+impl Default for NavigatorOptions {
+    fn default() -> Self {
+        Self {
+            start: [0.0, 0.0],
+            covariance_m2: [[1e4, 0.0], [0.0, 1e4]],
+            position_noise_m2_s: 0.01,
+            speed_sigma_m_s: 0.0,
+            speed_walk: 0.0,
+            heading_sigma_deg: 0.0,
+            heading_walk_deg: 0.0,
+            bias_sigma: 0.0,
+            bias_walk: 0.0,
+            reading_sigma: vec![1.0],
+            field_sigma: true,
+            gate: Some(0.9999),
+            method: Method::Unscented,
+            scaling: Scaling::default(),
+        }
+    }
+}
+
+/// What a step did with its reading.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Outcome {
+    /// The reading corrected the state.
+    Updated,
+    /// There was no reading: dead reckoning.
+    Predicted,
+    /// The gate refused the reading.
+    Rejected,
+    /// The field is not known where the vehicle is: dead reckoning.
+    OffField,
+}
+
+impl Outcome {
+    /// The name used in Python and reports.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Updated => "updated",
+            Self::Predicted => "predicted",
+            Self::Rejected => "rejected",
+            Self::OffField => "off_field",
+        }
+    }
+}
+
+/// Where the navigator is after a step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NavigatorStep {
+    /// Map coordinate.
+    pub x: f64,
+    /// Map coordinate.
+    pub y: f64,
+    /// Covariance of the position, square metres, east-north.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// What became of the reading.
+    pub outcome: Outcome,
+    /// Normalised innovation squared, where there was a reading that could be compared.
+    pub nis: Option<f64>,
+    /// Numbers in that reading.
+    pub dof: usize,
+    /// Whether the innovations say that the filter has lost its way.
+    pub diverged: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+enum Filter {
+    Unscented(UnscentedKalmanFilter),
+    Extended(ExtendedKalmanFilter),
+}
+
+impl Filter {
+    fn estimate(&self) -> &Estimate {
+        match self {
+            Self::Unscented(f) => f.estimate(),
+            Self::Extended(f) => f.estimate(),
+        }
+    }
+
+    fn estimate_mut(&mut self) -> &mut Estimate {
+        match self {
+            Self::Unscented(f) => f.estimate_mut(),
+            Self::Extended(f) => f.estimate_mut(),
+        }
+    }
+}
+
+/// Where each state is in the vector; east and north are the first two.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Layout {
+    speed: Option<usize>,
+    heading: Option<usize>,
+    bias: Option<usize>,
+    len: usize,
+}
+
+impl Layout {
+    fn new(options: &NavigatorOptions, numbers: usize) -> Self {
+        let mut len = 2;
+        let mut place = |wanted: bool, count: usize| {
+            wanted.then(|| {
+                len += count;
+                len - count
+            })
+        };
+        let speed = place(options.speed_sigma_m_s > 0.0, 1);
+        let heading = place(options.heading_sigma_deg > 0.0, 1);
+        let bias = place(options.bias_sigma > 0.0, numbers);
+        Self { speed, heading, bias, len }
+    }
+}
+
+/// Everything that changes from step to step, and what was asked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct State {
+    options: NavigatorOptions,
+    layout: Layout,
+    filter: Filter,
+    /// Map coordinates that the state's metres are counted from: the start on geographic fields, moved with the vehicle.
+    anchor: [f64; 2],
+    time_s: f64,
+    steps: u64,
+    rejections: u32,
+    window: Vec<(f64, usize)>,
+    next: usize,
+}
+
+/// Navigates on a field: predict with speed and course, correct with a reading.
+///
+/// For a slow vehicle with a log, a compass and a magnetometer in a field steep enough for its noise; what can be reached
+/// is said by [`FieldNavigator::bound`] before anything sails. Not for a start that is uncertain by more than a fraction
+/// of the field's wavelength: a Kalman filter follows one hypothesis; take a matcher first.
+///
+/// Places are map coordinates (see [`Sensing`]); on geographic fields the state is kept in metres about the vehicle.
+///
+/// ```
+/// use std::sync::Arc;
+/// use geomag_core::grid::{GridMap, GridValues, Interpolation};
+/// use geomag_core::navigation::field_navigator::{FieldNavigator, NavigatorOptions};
+/// use geomag_core::navigation::sensing::Sensing;
+/// let axis: Vec<f64> = (0..50).map(|i| f64::from(i) * 20.0).collect();
+/// let values = (0..2500).map(|k| 90.0 * (f64::from(k % 50) / 7.0).sin() + 80.0 * (f64::from(k / 50) / 6.0).cos()).collect();
+/// let map = Arc::new(GridMap::new(GridValues::F64(values), &axis, &axis, false)?);
+/// let truth = |k: u32| [300.0 + 5.0 * f64::from(k), 500.0];
+/// let options = NavigatorOptions { start: [310.0, 495.0], covariance_m2: [[100.0, 0.0], [0.0, 100.0]], ..Default::default() };
+/// let mut navigator = FieldNavigator::new(Sensing::map(map.clone(), Interpolation::Bicubic), options)?;
+/// for k in 1..60 {
+///     let [x, y] = truth(k);
+///     navigator.step(1.0, 5.0, 90.0, Some(&[map.sample(x, y, Interpolation::Bicubic)]))?;
+/// }
+/// let [x, y] = navigator.position();
+/// assert!((x - truth(59)[0]).hypot(y - 500.0) < 1.0);
+/// # Ok::<(), geomag_core::error::Error>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct FieldNavigator {
+    sensing: Sensing,
+    /// Bounds of the NIS for one, two, ... numbers.
+    gates: Vec<f64>,
+    state: State,
+}
+
+impl FieldNavigator {
+    /// A navigator at its start.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`], [`Error::NotFinite`], [`Error::Shape`], [`Error::NotPositiveDefinite`] for options that make no
+    /// filter.
+    pub fn new(sensing: Sensing, options: NavigatorOptions) -> Result<Self> {
+        require_finite("start", &options.start)?;
+        for (name, value) in [
+            ("position_noise_m2_s", options.position_noise_m2_s),
+            ("speed_sigma_m_s", options.speed_sigma_m_s),
+            ("speed_walk", options.speed_walk),
+            ("heading_sigma_deg", options.heading_sigma_deg),
+            ("heading_walk_deg", options.heading_walk_deg),
+            ("bias_sigma", options.bias_sigma),
+            ("bias_walk", options.bias_walk),
+        ] {
+            require_not_negative(name, value)?;
+        }
+        let numbers = sensing.len();
+        if options.reading_sigma.len() != 1 && options.reading_sigma.len() != numbers {
+            return Err(Error::shape(
+                "reading_sigma",
+                format!("a number or ({numbers},)"),
+                format!("({},)", options.reading_sigma.len()),
+            ));
+        }
+        for (i, &sigma) in options.reading_sigma.iter().enumerate() {
+            require_not_negative(&format!("reading_sigma[{i}]"), sigma)?;
+        }
+        if sensing.geographic() && options.start[1].abs() > 89.9 {
+            return Err(Error::invalid("start", "a latitude within 89.9 degrees of the equator", options.start[1]));
+        }
+        let layout = Layout::new(&options, numbers);
+        let n = layout.len;
+        let mut covariance = DMatrix::zeros(n, n);
+        for (i, row) in options.covariance_m2.iter().enumerate() {
+            for (j, &c) in row.iter().enumerate() {
+                covariance[(i, j)] = c;
+            }
+        }
+        if let Some(i) = layout.speed {
+            covariance[(i, i)] = options.speed_sigma_m_s.powi(2);
+        }
+        if let Some(i) = layout.heading {
+            covariance[(i, i)] = options.heading_sigma_deg.to_radians().powi(2);
+        }
+        if let Some(first) = layout.bias {
+            for i in first..first + numbers {
+                covariance[(i, i)] = options.bias_sigma.powi(2);
+            }
+        }
+        let geographic = sensing.geographic();
+        let start = [sensing.wrap_x(options.start[0]), options.start[1]];
+        let mut mean = vec![0.0; n];
+        if !geographic {
+            mean[..2].copy_from_slice(&start);
+        }
+        // The matrix is symmetric only if the caller's is, which the estimate checks.
+        let estimate = Estimate::new(&mean, covariance.transpose().as_slice())?;
+        let filter = match options.method {
+            Method::Unscented => Filter::Unscented(UnscentedKalmanFilter::from_estimate(estimate, options.scaling)?),
+            Method::Extended => Filter::Extended(ExtendedKalmanFilter::from_estimate(estimate)),
+        };
+        let state = State {
+            layout,
+            filter,
+            anchor: if geographic { start } else { [0.0, 0.0] },
+            time_s: 0.0,
+            steps: 0,
+            rejections: 0,
+            window: Vec::new(),
+            next: 0,
+            options,
+        };
+        Self::from_state(sensing, state)
+    }
+
+    fn from_state(sensing: Sensing, state: State) -> Result<Self> {
+        let gates = match state.options.gate {
+            None => Vec::new(),
+            Some(p) => (1..=sensing.len()).map(|dof| chi_square_quantile(p, dof)).collect::<Result<_>>()?,
+        };
+        if state.layout != Layout::new(&state.options, sensing.len())
+            || state.filter.estimate().len() != state.layout.len
+        {
+            return Err(Error::State {
+                what: "FieldNavigator".into(),
+                detail: format!("it was saved with another sensor than one of {} numbers", sensing.len()),
+            });
+        }
+        Ok(Self { sensing, gates, state })
+    }
+
+    /// Everything that the navigator carries, as bytes; the field is not in them.
+    ///
+    /// # Errors
+    /// [`Error::State`].
+    pub fn save(&self) -> Result<Vec<u8>> {
+        crate::state::save("FieldNavigator", &self.state)
+    }
+
+    /// A navigator that goes on where [`FieldNavigator::save`] left off, bit for bit, on the same field.
+    ///
+    /// # Errors
+    /// [`Error::State`].
+    pub fn restore(sensing: Sensing, bytes: &[u8]) -> Result<Self> {
+        Self::from_state(sensing, crate::state::load("FieldNavigator", bytes)?)
+    }
+
+    /// What is read, and of what.
+    pub fn sensing(&self) -> &Sensing {
+        &self.sensing
+    }
+
+    /// What was asked for.
+    pub fn options(&self) -> &NavigatorOptions {
+        &self.state.options
+    }
+
+    /// Estimated place, map coordinates.
+    pub fn position(&self) -> [f64; 2] {
+        let mean = self.state.filter.estimate().mean();
+        self.place(mean[0], mean[1])
+    }
+
+    /// Covariance of the place, square metres, east-north.
+    pub fn covariance_m2(&self) -> [[f64; 2]; 2] {
+        // The first two rows of the factor are all that it takes.
+        let l = self.state.filter.estimate().factor();
+        let cross = l[(1, 0)] * l[(0, 0)];
+        [[l[(0, 0)].powi(2), cross], [cross, l[(1, 0)].powi(2) + l[(1, 1)].powi(2)]]
+    }
+
+    /// Mean and covariance of the whole state: east, north (metres; from the vehicle on geographic fields), then speed
+    /// error (m/s), heading error (radians) and bias (field unit), those that are estimated.
+    pub fn estimate(&self) -> &Estimate {
+        self.state.filter.estimate()
+    }
+
+    /// True minus indicated speed, metres a second, and its standard deviation; `None` where it is not estimated.
+    pub fn speed_error_m_s(&self) -> Option<(f64, f64)> {
+        self.state.layout.speed.map(|i| self.element(i))
+    }
+
+    /// True minus indicated course, degrees, and its standard deviation; `None` where it is not estimated.
+    pub fn heading_error_deg(&self) -> Option<(f64, f64)> {
+        self.state.layout.heading.map(|i| {
+            let (value, sigma) = self.element(i);
+            (value.to_degrees(), sigma.to_degrees())
+        })
+    }
+
+    /// Constant error of each number of the reading with its standard deviation; empty where it is not estimated.
+    pub fn bias(&self) -> Vec<(f64, f64)> {
+        let first = self.state.layout.bias;
+        first.map_or_else(Vec::new, |first| (first..first + self.sensing.len()).map(|i| self.element(i)).collect())
+    }
+
+    fn element(&self, i: usize) -> (f64, f64) {
+        let estimate = self.state.filter.estimate();
+        (estimate.mean()[i], estimate.factor().row(i).norm())
+    }
+
+    /// Seconds since the start.
+    pub fn time_s(&self) -> f64 {
+        self.state.time_s
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u64 {
+        self.state.steps
+    }
+
+    /// The newest innovation.
+    pub fn innovation(&self) -> Option<&Innovation> {
+        match &self.state.filter {
+            Filter::Unscented(f) => f.innovation(),
+            Filter::Extended(f) => f.innovation(),
+        }
+    }
+
+    /// Whether the innovations say that the filter has lost its way: ten readings in a row refused, or a mean NIS over
+    /// the last twenty that an honest filter exceeds once in 100,000 steps.
+    pub fn diverged(&self) -> bool {
+        if self.state.rejections >= MANY_REJECTIONS {
+            return true;
+        }
+        if self.state.window.len() < WINDOW {
+            return false;
+        }
+        let (sum, dof) = self.state.window.iter().fold((0.0, 0), |(s, d), &(nis, dof)| (s + nis, d + dof));
+        // Wilson and Hilferty's approximation to the quantile of chi-square.
+        let k = dof as f64;
+        let part = 2.0 / (9.0 * k);
+        sum > k * (1.0 - part + DIVERGENCE_DEVIATE * part.sqrt()).powi(3)
+    }
+
+    /// Moves on by `dt_s` seconds with the indicated speed (metres a second) and course (degrees, clockwise from north)
+    /// and takes in a reading, where there is one. Numbers of it that are NaN are left out.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`], [`Error::Invalid`] (time running backwards), [`Error::Shape`] (another number of components
+    /// than the sensor has), [`Error::NotPositiveDefinite`]. After an error in the reading the prediction stands.
+    pub fn step(
+        &mut self,
+        dt_s: f64,
+        speed_m_s: f64,
+        course_deg: f64,
+        reading: Option<&[f64]>,
+    ) -> Result<NavigatorStep> {
+        require_not_negative("dt_s", dt_s)?;
+        require_finite("speed_m_s, course_deg", &[speed_m_s, course_deg])?;
+        let numbers = self.sensing.len();
+        if let Some(reading) = reading {
+            if reading.len() != numbers {
+                return Err(Error::shape("reading", format!("({numbers},)"), format!("({},)", reading.len())));
+            }
+            if let Some(index) = reading.iter().position(|v| v.is_infinite()) {
+                return Err(Error::NotFinite { what: "reading".into(), index, got: reading[index] });
+            }
+        }
+        self.predict(dt_s, speed_m_s, course_deg)?;
+        self.state.time_s += dt_s;
+        self.state.steps += 1;
+        let kept: Vec<usize> = reading.map_or_else(Vec::new, |r| (0..numbers).filter(|&k| !r[k].is_nan()).collect());
+        let (outcome, nis) = match reading {
+            Some(reading) if !kept.is_empty() => self.update(reading, &kept)?,
+            _ => (Outcome::Predicted, None),
+        };
+        if let Some(nis) = nis {
+            let entry = (nis, kept.len());
+            if self.state.window.len() < WINDOW {
+                self.state.window.push(entry);
+            } else {
+                let next = self.state.next;
+                self.state.window[next] = entry;
+            }
+            self.state.next = (self.state.next + 1) % WINDOW;
+        }
+        match outcome {
+            Outcome::Updated => self.state.rejections = 0,
+            Outcome::Rejected => self.state.rejections = self.state.rejections.saturating_add(1),
+            Outcome::Predicted | Outcome::OffField => {}
+        }
+        self.follow();
+        let [x, y] = self.position();
+        Ok(NavigatorStep {
+            x,
+            y,
+            covariance_m2: self.covariance_m2(),
+            outcome,
+            nis,
+            dof: kept.len(),
+            diverged: self.diverged(),
+        })
+    }
+
+    /// The Cramer-Rao bound of the position along a true path (map coordinates, one a step): the covariance that no
+    /// unbiased filter with these noises can beat, square metres, east-north.
+    ///
+    /// The recursion of the posterior bound (Tichavsky, Muravchik & Nehorai 1998) for this motion: the extended filter's
+    /// covariance with gradients at the truth. Starts from the present covariance; NaN in the field counts as no reading.
+    ///
+    /// # Errors
+    /// As [`FieldNavigator::step`].
+    pub fn bound(&self, path: &[[f64; 2]], dt_s: f64, speed_m_s: f64, course_deg: f64) -> Result<Vec<[[f64; 2]; 2]>> {
+        require_not_negative("dt_s", dt_s)?;
+        require_finite("speed_m_s, course_deg", &[speed_m_s, course_deg])?;
+        let n = self.state.layout.len;
+        let mut filter = ExtendedKalmanFilter::from_estimate(self.state.filter.estimate().clone());
+        let jacobian = self.motion_jacobian(filter.estimate().mean(), dt_s, speed_m_s, course_deg);
+        let q = self.process_noise(dt_s);
+        let numbers: Vec<usize> = (0..self.sensing.len()).collect();
+        let mut out = Vec::with_capacity(path.len());
+        for &[x, y] in path {
+            let mean = filter.estimate().mean().to_vec();
+            filter.predict(&mean, &jacobian, (&q * q.transpose()).as_slice())?;
+            let expected = self.sensing.read_with_gradient(x, y);
+            if expected.iter().all(|e| e.0.is_finite()) {
+                let h = self.measurement_jacobian(&expected, &numbers);
+                let noise = self.reading_noise([x, y], &numbers);
+                let zero = vec![0.0; numbers.len()];
+                filter.update(&zero, &zero, &h, (&noise * noise.transpose()).as_slice(), None)?;
+            }
+            let p = filter.estimate().covariance();
+            debug_assert_eq!(p.nrows(), n);
+            out.push([[p[(0, 0)], p[(0, 1)]], [p[(1, 0)], p[(1, 1)]]]);
+        }
+        Ok(out)
+    }
+
+    /// Map coordinates of a state's east and north.
+    fn place(&self, east: f64, north: f64) -> [f64; 2] {
+        let [ax, ay] = self.state.anchor;
+        let scale = self.sensing.metres_per_unit(ay);
+        [self.sensing.wrap_x(ax + east / scale[0]), ay + north / scale[1]]
+    }
+
+    /// On geographic fields, moves the anchor to the vehicle, so that the metres are always counted where they are right.
+    fn follow(&mut self) {
+        if self.sensing.geographic() {
+            let mean = self.state.filter.estimate().mean();
+            let (east, north) = (mean[0], mean[1]);
+            self.state.anchor = self.place(east, north);
+            self.state.filter.estimate_mut().shift(&[-east, -north]);
+        }
+    }
+
+    fn predict(&mut self, dt_s: f64, speed_m_s: f64, course_deg: f64) -> Result<()> {
+        let noise = self.process_noise(dt_s);
+        let layout = self.state.layout;
+        let course = course_deg.to_radians();
+        let motion = move |x: &[f64], out: &mut [f64]| {
+            let speed = speed_m_s + layout.speed.map_or(0.0, |i| x[i]);
+            let (sin, cos) = (course + layout.heading.map_or(0.0, |i| x[i])).sin_cos();
+            out.copy_from_slice(x);
+            out[0] += dt_s * speed * sin;
+            out[1] += dt_s * speed * cos;
+        };
+        let jacobian = match self.state.options.method {
+            Method::Unscented => Vec::new(),
+            Method::Extended => self.motion_jacobian(self.state.filter.estimate().mean(), dt_s, speed_m_s, course_deg),
+        };
+        match &mut self.state.filter {
+            Filter::Unscented(filter) => filter.predict_with(
+                |points, out| {
+                    let n = layout.len;
+                    for (point, out) in points.as_slice().chunks_exact(n).zip(out.as_mut_slice().chunks_exact_mut(n)) {
+                        motion(point, out);
+                    }
+                    Ok(())
+                },
+                &noise,
+            ),
+            Filter::Extended(filter) => {
+                let mut moved = vec![0.0; layout.len];
+                motion(filter.estimate().mean(), &mut moved);
+                filter.predict(&moved, &jacobian, (&noise * noise.transpose()).as_slice())
+            }
+        }
+    }
+
+    fn update(&mut self, reading: &[f64], kept: &[usize]) -> Result<(Outcome, Option<f64>)> {
+        let here = self.position();
+        if !self.sensing.covers(here[0], here[1]) {
+            return Ok((Outcome::OffField, None));
+        }
+        let noise = self.reading_noise(here, kept);
+        let gate = self.gates.get(kept.len() - 1).copied();
+        let z: Vec<f64> = kept.iter().map(|&k| reading[k]).collect();
+        let (sensing, layout, anchor) = (&self.sensing, self.state.layout, self.state.anchor);
+        let scale = sensing.metres_per_unit(anchor[1]);
+        let numbers = sensing.len();
+        let found = match &mut self.state.filter {
+            Filter::Unscented(filter) => filter.update_with(
+                &z,
+                |points, out| {
+                    let places: Vec<[f64; 2]> = points
+                        .column_iter()
+                        .map(|p| [sensing.wrap_x(anchor[0] + p[0] / scale[0]), anchor[1] + p[1] / scale[1]])
+                        .collect();
+                    let mut values = vec![0.0; numbers * places.len()];
+                    sensing.read(&places, &mut values);
+                    if values.iter().any(|v| v.is_nan()) {
+                        return Err(OffField::Off);
+                    }
+                    for (i, (point, mut out)) in points.column_iter().zip(out.column_iter_mut()).enumerate() {
+                        for (o, &k) in out.iter_mut().zip(kept) {
+                            *o = values[i * numbers + k] + layout.bias.map_or(0.0, |first| point[first + k]);
+                        }
+                    }
+                    Ok(())
+                },
+                &noise,
+                gate,
+            ),
+            Filter::Extended(filter) => {
+                let expected = sensing.read_with_gradient(here[0], here[1]);
+                if expected.iter().any(|e| e.0.is_nan() || e.1.iter().any(|g| g.is_nan())) {
+                    return Ok((Outcome::OffField, None));
+                }
+                let mean = filter.estimate().mean();
+                let values: Vec<f64> =
+                    kept.iter().map(|&k| expected[k].0 + layout.bias.map_or(0.0, |first| mean[first + k])).collect();
+                let h = jacobian_of_readings(layout, &expected, kept);
+                filter.update(&z, &values, &h, (&noise * noise.transpose()).as_slice(), gate).map_err(OffField::from)
+            }
+        };
+        match found {
+            Ok(innovation) => {
+                let outcome = if innovation.accepted { Outcome::Updated } else { Outcome::Rejected };
+                Ok((outcome, Some(innovation.nis)))
+            }
+            Err(OffField::Off) => Ok((Outcome::OffField, None)),
+            Err(OffField::Failed(error)) => Err(error),
+        }
+    }
+
+    /// Factor of the process noise over a step.
+    fn process_noise(&self, dt_s: f64) -> DMatrix<f64> {
+        let o = &self.state.options;
+        let root = dt_s.sqrt();
+        let layout = self.state.layout;
+        let mut noise = DMatrix::zeros(layout.len, layout.len);
+        for i in 0..2 {
+            noise[(i, i)] = (o.position_noise_m2_s * dt_s).sqrt();
+        }
+        if let Some(i) = layout.speed {
+            noise[(i, i)] = o.speed_walk * root;
+        }
+        if let Some(i) = layout.heading {
+            noise[(i, i)] = o.heading_walk_deg.to_radians() * root;
+        }
+        if let Some(first) = layout.bias {
+            for i in first..layout.len {
+                noise[(i, i)] = o.bias_walk * root;
+            }
+        }
+        noise
+    }
+
+    /// Factor of the noise of the numbers that are kept: the sensor's and the field's own.
+    fn reading_noise(&self, place: [f64; 2], kept: &[usize]) -> DMatrix<f64> {
+        let o = &self.state.options;
+        let sigma = |k: usize| {
+            let sensor = if o.reading_sigma.len() == 1 { o.reading_sigma[0] } else { o.reading_sigma[k] };
+            let field = if o.field_sigma { self.sensing.sigma(place[0], place[1], k) } else { 0.0 };
+            sensor.hypot(field)
+        };
+        DMatrix::from_fn(kept.len(), kept.len(), |i, j| if i == j { sigma(kept[i]) } else { 0.0 })
+    }
+
+    /// Row-major Jacobian of the motion.
+    fn motion_jacobian(&self, mean: &[f64], dt_s: f64, speed_m_s: f64, course_deg: f64) -> Vec<f64> {
+        let layout = self.state.layout;
+        let n = layout.len;
+        let mut f = vec![0.0; n * n];
+        for i in 0..n {
+            f[i * n + i] = 1.0;
+        }
+        let speed = speed_m_s + layout.speed.map_or(0.0, |i| mean[i]);
+        let (sin, cos) = (course_deg.to_radians() + layout.heading.map_or(0.0, |i| mean[i])).sin_cos();
+        if let Some(i) = layout.speed {
+            f[i] = dt_s * sin;
+            f[n + i] = dt_s * cos;
+        }
+        if let Some(i) = layout.heading {
+            f[i] = dt_s * speed * cos;
+            f[n + i] = -dt_s * speed * sin;
+        }
+        f
+    }
+
+    fn measurement_jacobian(&self, expected: &[(f64, [f64; 2])], kept: &[usize]) -> Vec<f64> {
+        jacobian_of_readings(self.state.layout, expected, kept)
+    }
+}
+
+/// Row-major Jacobian of the numbers that are kept.
+fn jacobian_of_readings(layout: Layout, expected: &[(f64, [f64; 2])], kept: &[usize]) -> Vec<f64> {
+    let n = layout.len;
+    let mut h = vec![0.0; kept.len() * n];
+    for (row, &k) in kept.iter().enumerate() {
+        h[row * n..row * n + 2].copy_from_slice(&expected[k].1);
+        if let Some(first) = layout.bias {
+            h[row * n + first + k] = 1.0;
+        }
+    }
+    h
+}
+
+/// Why a reading was not compared.
+enum OffField {
+    /// A sigma point lies where the field is not known.
+    Off,
+    Failed(Error),
+}
+
+impl From<Error> for OffField {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+#[cfg(test)]
+mod tests;

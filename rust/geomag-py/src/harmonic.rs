@@ -1,0 +1,904 @@
+//! `RectangularHarmonicModel`, `FieldObservations` and `HarmonicMap`.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use geomag_core::error::Error;
+use geomag_core::field::Field;
+use geomag_core::grid::{Axis, GridMap};
+use geomag_core::harmonic::{
+    FitOptions, HarmonicMap, Observations, Period, Positions, Quantity, RectangularHarmonicModel, Region,
+    Regularisation, SelectionOptions, coefficient_count, fit, select, terms,
+};
+use geomag_core::monitor::Monitor;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList, PyTuple};
+
+use crate::arrays::{array, broadcast, matrix, pair, shaped, vector};
+use crate::error::{PyRes, invalid};
+use crate::frame::{PyLocalFrame, stacked, vectors};
+use crate::grid::PyGridMap;
+use crate::long_call;
+
+/// Reads the name of a scalar of the field.
+pub fn quantity(name: &str, main_field: Option<[f64; 3]>) -> PyRes<Quantity> {
+    let main = || main_field.ok_or_else(|| invalid("main_field", "the main field (north, east, down)", "None"));
+    match name {
+        "north" => Ok(Quantity::North),
+        "east" => Ok(Quantity::East),
+        "down" => Ok(Quantity::Down),
+        "projection" => Ok(Quantity::Projection(main()?)),
+        "anomaly" => Ok(Quantity::Anomaly(main()?)),
+        "intensity" => Ok(Quantity::Intensity(main()?)),
+        other => Err(invalid(
+            "quantity",
+            "'north', 'east', 'down', 'projection', 'anomaly' or 'intensity'",
+            format!("'{other}'"),
+        )),
+    }
+}
+
+/// Name and main field of a quantity.
+pub fn quantity_name(quantity: Quantity) -> (&'static str, Option<[f64; 3]>) {
+    match quantity {
+        Quantity::North => ("north", None),
+        Quantity::East => ("east", None),
+        Quantity::Down => ("down", None),
+        Quantity::Projection(main) => ("projection", Some(main)),
+        Quantity::Anomaly(main) => ("anomaly", Some(main)),
+        Quantity::Intensity(main) => ("intensity", Some(main)),
+    }
+}
+
+/// One vector of three numbers.
+pub fn main_vector(object: Option<&Bound<'_, PyAny>>) -> PyRes<Option<[f64; 3]>> {
+    object
+        .map(|o| match vector("main_field", o)?.as_slice() {
+            &[n, e, d] => Ok([n, e, d]),
+            other => Err(Error::shape("main_field", "(3,): north, east, down", format!("({},)", other.len())).into()),
+        })
+        .transpose()
+}
+
+/// One vector or one a point.
+fn main_vectors(object: &Bound<'_, PyAny>) -> PyRes<Vec<[f64; 3]>> {
+    Ok(vectors("main_field", object)?.0)
+}
+
+struct Points {
+    axes: [Vec<f64>; 3],
+    shape: Vec<usize>,
+}
+
+impl Points {
+    fn new(north: &Bound<'_, PyAny>, east: &Bound<'_, PyAny>, down: &Bound<'_, PyAny>) -> PyRes<Self> {
+        let (axes, shape) = broadcast(["north_m", "east_m", "down_m"], [north, east, down])?;
+        Ok(Self { axes, shape })
+    }
+
+    fn positions(&self) -> Result<Positions<'_>, Error> {
+        Positions::new(&self.axes[0], &self.axes[1], &self.axes[2])
+    }
+}
+
+fn sigmas(object: Option<&Bound<'_, PyAny>>) -> PyRes<Vec<f64>> {
+    object.map_or_else(|| Ok(Vec::new()), |o| vector("sigma", o))
+}
+
+/// What a harmonic model is fitted to: any mixture of components, anomalies and intensities, each with its own weight.
+///
+/// Every `add_` returns the object, so that calls can be chained. Positions are north, east, down of the model's frame in
+/// metres; `sigma` is the standard deviation (a number, or one a point).
+///
+/// Examples
+/// --------
+/// >>> import geomag
+/// >>> data = geomag.FieldObservations()
+/// >>> data = data.add_vector([0.0, 1e3], [0.0, 0.0], [-80.0, -80.0], [[10.0, 2.0, -5.0], [8.0, 1.0, -4.0]], sigma=2.0)
+/// >>> data.add_anomaly([0.0], [5e2], [-80.0], [4.0], main_field=[31e3, 0.0, 38e3])
+/// FieldObservations(7 numbers at 3 points)
+#[pyclass(frozen, name = "FieldObservations", module = "geomag")]
+pub struct PyFieldObservations {
+    inner: Mutex<Observations>,
+}
+
+impl PyFieldObservations {
+    fn snapshot(&self) -> Observations {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn change(&self, change: impl FnOnce(&mut Observations) -> Result<(), Error>) -> PyRes<()> {
+        // A failed addition must leave nothing behind.
+        let mut guard = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut copy = guard.clone();
+        change(&mut copy)?;
+        *guard = copy;
+        Ok(())
+    }
+}
+
+#[pymethods]
+impl PyFieldObservations {
+    #[new]
+    fn new() -> Self {
+        Self { inner: Mutex::new(Observations::new()) }
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, field, *, sigma = None))]
+    fn add_vector<'py>(
+        slf: Bound<'py, Self>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        field: &Bound<'py, PyAny>,
+        sigma: Option<&Bound<'py, PyAny>>,
+    ) -> PyRes<Bound<'py, Self>> {
+        let points = Points::new(north_m, east_m, down_m)?;
+        let (values, sigma) = (vectors("field", field)?.0, sigmas(sigma)?);
+        slf.get().change(|o| o.vector(&points.positions()?, &values, &sigma))?;
+        Ok(slf)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, values, *, main_field, sigma = None))]
+    fn add_anomaly<'py>(
+        slf: Bound<'py, Self>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        values: &Bound<'py, PyAny>,
+        main_field: &Bound<'py, PyAny>,
+        sigma: Option<&Bound<'py, PyAny>>,
+    ) -> PyRes<Bound<'py, Self>> {
+        let points = Points::new(north_m, east_m, down_m)?;
+        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
+        slf.get().change(|o| o.anomaly(&points.positions()?, &values, &main, &sigma))?;
+        Ok(slf)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, values, *, main_field, sigma = None))]
+    fn add_intensity<'py>(
+        slf: Bound<'py, Self>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        values: &Bound<'py, PyAny>,
+        main_field: &Bound<'py, PyAny>,
+        sigma: Option<&Bound<'py, PyAny>>,
+    ) -> PyRes<Bound<'py, Self>> {
+        let points = Points::new(north_m, east_m, down_m)?;
+        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
+        slf.get().change(|o| o.intensity(&points.positions()?, &values, &main, &sigma))?;
+        Ok(slf)
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+
+    fn __repr__(&self) -> String {
+        let inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
+        format!("FieldObservations({} numbers at {} points)", inner.len(), inner.point_count())
+    }
+}
+
+/// Numbers of any shape, flattened.
+fn flat(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
+    Ok(array(what, object)?.as_array().iter().copied().collect())
+}
+
+/// One value or several to choose from.
+fn choices<T: for<'a, 'py> FromPyObject<'a, 'py>>(
+    what: &str,
+    needed: &str,
+    object: &Bound<'_, PyAny>,
+) -> PyRes<Vec<T>> {
+    if let Ok(one) = object.extract::<T>() {
+        return Ok(vec![one]);
+    }
+    let Ok(items) = object.try_iter() else {
+        return Err(invalid(what, needed, object.repr()?));
+    };
+    let mut out = Vec::new();
+    for item in items {
+        let item = item?;
+        out.push(
+            item.extract()
+                .map_err(|_| invalid(what, needed, item.repr().map_or_else(|e| e.to_string(), |r| r.to_string())))?,
+        );
+    }
+    if out.is_empty() { Err(invalid(what, needed, "an empty sequence")) } else { Ok(out) }
+}
+
+/// What `fit`, `fit_observations` and `select` are told.
+struct Request {
+    orders: Vec<usize>,
+    ratios: Vec<f64>,
+    ridges: Vec<f64>,
+    options: FitOptions,
+    folds: usize,
+    groups: Option<Vec<u64>>,
+    seed: u64,
+}
+
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Keywords<'py> {
+    order: Bound<'py, PyAny>,
+    period_ratio: Bound<'py, PyAny>,
+    periods_m: Option<Bound<'py, PyAny>>,
+    ridge: Bound<'py, PyAny>,
+    truncation: Option<f64>,
+    huber: Option<f64>,
+    max_iterations: usize,
+    covariance: bool,
+    frame: Option<Py<PyLocalFrame>>,
+    unit: String,
+    folds: usize,
+    groups: Option<Bound<'py, PyAny>>,
+    seed: u64,
+}
+
+impl Request {
+    fn new(k: &Keywords<'_>) -> PyRes<Self> {
+        let orders = choices("order", "an order >= 0, or several to choose from", &k.order)?;
+        let ratios = choices("period_ratio", "a ratio >= 1, or several to choose from", &k.period_ratio)?;
+        let ridges = choices("ridge", "a number >= 0, or several to choose from", &k.ridge)?;
+        let regularisation = match k.truncation {
+            Some(share) => Regularisation::TruncatedSvd(share),
+            None => Regularisation::Ridge(ridges[0]),
+        };
+        let period = match &k.periods_m {
+            None => Period::Ratio(ratios[0]),
+            Some(periods) => Period::Metres(pair("periods_m", periods)?),
+        };
+        let groups = k.groups.as_ref().map(labels).transpose()?;
+        let options = FitOptions {
+            order: orders[0],
+            period,
+            regularisation,
+            huber: k.huber,
+            max_iterations: k.max_iterations,
+            covariance: k.covariance,
+            frame: k.frame.as_ref().map(|f| f.get().inner),
+            unit: k.unit.clone(),
+        };
+        let several = orders.len() * ratios.len() * ridges.len() > 1;
+        if several && (k.truncation.is_some() || k.periods_m.is_some()) {
+            return Err(invalid(
+                "order, period_ratio, ridge",
+                "one of each where periods_m or truncation is given",
+                "several",
+            ));
+        }
+        Ok(Self { orders, ratios, ridges, options, folds: k.folds, groups, seed: k.seed })
+    }
+
+    fn several(&self) -> bool {
+        self.orders.len() * self.ratios.len() * self.ridges.len() > 1
+    }
+
+    /// About the nanoseconds that it takes.
+    fn units(&self, rows: usize) -> u64 {
+        let columns = self.orders.iter().map(|&n| coefficient_count(n.min(1000)) as u64).max().unwrap_or(0);
+        (rows as u64).saturating_mul(columns.saturating_mul(columns) / 8).saturating_mul(self.ratios.len() as u64)
+    }
+
+    fn selection(&self) -> SelectionOptions {
+        SelectionOptions {
+            orders: self.orders.clone(),
+            period_ratios: self.ratios.clone(),
+            ridges: self.ridges.clone(),
+            folds: self.folds,
+            groups: self.groups.clone(),
+            seed: self.seed,
+        }
+    }
+
+    fn run(&self, observations: &Observations, monitor: &dyn Monitor) -> Result<RectangularHarmonicModel, Error> {
+        if !self.several() {
+            return fit(observations, &self.options, monitor);
+        }
+        let found = select(observations, &self.selection(), &self.options, monitor)?;
+        let best = found.candidates[found.best];
+        let options = FitOptions {
+            order: best.order,
+            period: Period::Ratio(best.period_ratio),
+            regularisation: Regularisation::Ridge(best.ridge),
+            ..self.options.clone()
+        };
+        fit(observations, &options, monitor)
+    }
+}
+
+/// Labels of any kind as numbers, in the order in which they come.
+fn labels(object: &Bound<'_, PyAny>) -> PyRes<Vec<u64>> {
+    let seen = PyDict::new(object.py());
+    let mut out = Vec::new();
+    for item in object.try_iter()? {
+        let item = item?;
+        let next = seen.len() as u64;
+        match seen.get_item(&item)? {
+            Some(known) => out.push(known.extract()?),
+            None => {
+                seen.set_item(item, next)?;
+                out.push(next);
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// Defaults of the keywords that `fit`, `fit_observations` and `select` share.
+fn keywords<'py>(py: Python<'py>, given: Option<&Bound<'py, PyDict>>) -> PyRes<Keywords<'py>> {
+    let all = PyDict::new(py);
+    all.set_item("order", 12)?;
+    all.set_item("period_ratio", 1.5)?;
+    all.set_item("ridge", 1e-9)?;
+    for name in ["periods_m", "truncation", "huber", "frame", "groups"] {
+        all.set_item(name, py.None())?;
+    }
+    all.set_item("max_iterations", 20)?;
+    all.set_item("covariance", true)?;
+    all.set_item("unit", "nT")?;
+    all.set_item("folds", 5)?;
+    all.set_item("seed", 0)?;
+    if let Some(given) = given {
+        for (key, value) in given {
+            let name: String = key.extract()?;
+            if all.get_item(&name)?.is_none() {
+                return Err(
+                    pyo3::exceptions::PyTypeError::new_err(format!("unexpected keyword argument '{name}'")).into()
+                );
+            }
+            all.set_item(name, value)?;
+        }
+    }
+    all.extract().map_err(|e: PyErr| invalid("options of the fit", "arguments of the documented types", e))
+}
+
+/// A rectangular harmonic model of a potential field in a source-free box.
+///
+/// In the frame of the model (x north, y east, z down, metres)
+/// ``V = A x + B y + C z + sum_q sum_t P_tr(x, y) exp(u z)`` and the field is ``-grad V``. Made by `fit`,
+/// `fit_observations`, `from_coefficients` or `from_json`.
+///
+/// For maps of tens to hundreds of kilometres from any mixture of observations, for upward continuation and for smooth
+/// gradients. Not for a region with sources in it, nor for the main field itself.
+///
+/// Sources: Alldredge 1981, doi 10.1029/JB086iB04p03021; Zhao, Huang, Wang, Liu 2012,
+/// doi 10.3969/j.issn.1006-1576.2012.12.010, with its garbled sums mended.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> north, east = (a.ravel() for a in np.meshgrid(np.linspace(-5e3, 5e3, 15), np.linspace(-5e3, 5e3, 15)))
+/// >>> bz = 30 * np.cos(north / 2e3)
+/// >>> field = np.stack([30 * np.sin(north / 2e3), 0 * bz, bz], axis=-1)
+/// >>> model = geomag.RectangularHarmonicModel.fit(north, east, 0.0, field, order=8)
+/// >>> abs(model.field(1e3, 0.0, 0.0)[2] - 30 * np.cos(0.5)) < 0.01
+/// True
+/// >>> model.field(9e4, 0.0, 0.0)
+/// array([nan, nan, nan])
+#[pyclass(frozen, name = "RectangularHarmonicModel", module = "geomag", weakref)]
+pub struct PyHarmonicModel {
+    /// The model, shared with maps and navigators made from it.
+    pub inner: Arc<RectangularHarmonicModel>,
+}
+
+impl PyHarmonicModel {
+    fn scattered<'py, T: Send>(
+        &self,
+        py: Python<'py>,
+        axes: [&Bound<'py, PyAny>; 3],
+        evaluate: impl FnOnce(&RectangularHarmonicModel, &Positions<'_>) -> Result<T, Error> + Send,
+    ) -> PyRes<(T, Vec<usize>)> {
+        let points = Points::new(axes[0], axes[1], axes[2])?;
+        let positions = points.positions()?;
+        let model = &*self.inner;
+        let values = py.detach(|| evaluate(model, &positions))?;
+        Ok((values, points.shape))
+    }
+
+    fn level(&self, quantity: Quantity, down_m: Option<f64>, height_m: Option<f64>) -> PyRes<HarmonicMap> {
+        let model = Arc::clone(&self.inner);
+        match (down_m, height_m) {
+            (Some(_), Some(_)) => Err(invalid("level", "one of down_m and height_m", "both")),
+            (down, None) => Ok(HarmonicMap::at_down(model, quantity, down.unwrap_or(0.0))?),
+            (None, Some(height)) => Ok(HarmonicMap::at_height(model, quantity, height)?),
+        }
+    }
+}
+
+fn pairs(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Region> {
+    match matrix(what, object)? {
+        (values, 3, 2) => Ok(Region {
+            north_m: [values[0], values[1]],
+            east_m: [values[2], values[3]],
+            down_m: [values[4], values[5]],
+        }),
+        (_, rows, columns) => {
+            Err(Error::shape(what, "(3, 2): north, east, down from and to", format!("({rows}, {columns})")).into())
+        }
+    }
+}
+
+#[pymethods]
+impl PyHarmonicModel {
+    #[staticmethod]
+    #[pyo3(signature = (north_m, east_m, down_m, field, *, main_field = None, kind = "anomaly", sigma = None,
+                        threads = None, progress = None, **options))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn fit<'py>(
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        field: &Bound<'py, PyAny>,
+        main_field: Option<&Bound<'py, PyAny>>,
+        kind: &str,
+        sigma: Option<&Bound<'py, PyAny>>,
+        threads: Option<usize>,
+        progress: Option<&Bound<'py, PyAny>>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Self> {
+        let points = Points::new(north_m, east_m, down_m)?;
+        let mut observations = Observations::new();
+        let sigma = sigmas(sigma)?;
+        let positions = points.positions()?;
+        match main_field {
+            None => observations.vector(&positions, &vectors("field", field)?.0, &sigma)?,
+            Some(main) => {
+                let (values, main) = (flat("field", field)?, main_vectors(main)?);
+                match kind {
+                    "anomaly" => observations.anomaly(&positions, &values, &main, &sigma)?,
+                    "intensity" => observations.intensity(&positions, &values, &main, &sigma)?,
+                    other => return Err(invalid("kind", "'anomaly' or 'intensity'", format!("'{other}'"))),
+                }
+            }
+        }
+        let request = Request::new(&keywords(py, options)?)?;
+        let model = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
+            request.run(&observations, monitor)
+        })?;
+        Ok(Self { inner: Arc::new(model) })
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (observations, *, threads = None, progress = None, **options))]
+    fn fit_observations(
+        py: Python<'_>,
+        observations: &PyFieldObservations,
+        threads: Option<usize>,
+        progress: Option<&Bound<'_, PyAny>>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyRes<Self> {
+        let observations = observations.snapshot();
+        let request = Request::new(&keywords(py, options)?)?;
+        let model = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
+            request.run(&observations, monitor)
+        })?;
+        Ok(Self { inner: Arc::new(model) })
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (observations, *, threads = None, progress = None, **options))]
+    fn select<'py>(
+        py: Python<'py>,
+        observations: &PyFieldObservations,
+        threads: Option<usize>,
+        progress: Option<&Bound<'py, PyAny>>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<(Bound<'py, PyDict>, Bound<'py, PyList>)> {
+        let observations = observations.snapshot();
+        let request = Request::new(&keywords(py, options)?)?;
+        let found = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
+            select(&observations, &request.selection(), &request.options, monitor)
+        })?;
+        let list = PyList::empty(py);
+        let mut best = PyDict::new(py);
+        for (k, c) in found.candidates.iter().enumerate() {
+            let entry = PyDict::new(py);
+            entry.set_item("order", c.order)?;
+            entry.set_item("period_ratio", c.period_ratio)?;
+            entry.set_item("ridge", c.ridge)?;
+            entry.set_item("rms", c.rms)?;
+            entry.set_item("rms_error", c.rms_error)?;
+            if k == found.best {
+                best = entry.copy()?;
+            }
+            list.append(entry)?;
+        }
+        Ok((best, list))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (order, periods_m, coefficients, *, region, frame = None, unit = "nT", covariance = None))]
+    fn from_coefficients(
+        order: usize,
+        periods_m: &Bound<'_, PyAny>,
+        coefficients: &Bound<'_, PyAny>,
+        region: &Bound<'_, PyAny>,
+        frame: Option<&PyLocalFrame>,
+        unit: &str,
+        covariance: Option<&Bound<'_, PyAny>>,
+    ) -> PyRes<Self> {
+        let coefficients = vector("coefficients", coefficients)?;
+        let periods = pair("periods_m", periods_m)?;
+        let mut model = RectangularHarmonicModel::new(order, periods, coefficients, pairs("region", region)?)?
+            .with_frame(frame.map(|f| f.inner))
+            .with_unit(unit);
+        if let Some(covariance) = covariance {
+            let (values, rows, columns) = matrix("covariance", covariance)?;
+            if rows != columns {
+                return Err(Error::shape("covariance", "a square matrix", format!("({rows}, {columns})")).into());
+            }
+            model = model.with_covariance(&values)?;
+        }
+        Ok(Self { inner: Arc::new(model) })
+    }
+
+    /// `(t, r, along x, along y)` of every coefficient after A, B, C.
+    #[staticmethod]
+    fn terms(order: usize) -> Vec<(usize, usize, &'static str, &'static str)> {
+        let name = |sine: bool| if sine { "sin" } else { "cos" };
+        terms(order.min(1000)).map(|t| (t.t, t.r, name(t.sine_x), name(t.sine_y))).collect()
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
+    fn field<'py>(
+        &self,
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let (values, shape) =
+            self.scattered(py, [north_m, east_m, down_m], |model, p| Ok(model.field(p, extrapolate)))?;
+        stacked(py, values, &shape)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, *, main_field = None, extrapolate = false))]
+    fn intensity<'py>(
+        &self,
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        main_field: Option<&Bound<'py, PyAny>>,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let main = main_vector(main_field)?.unwrap_or([0.0; 3]);
+        let (values, shape) =
+            self.scattered(py, [north_m, east_m, down_m], |model, p| Ok(model.intensity(p, main, extrapolate)))?;
+        shaped(py, values, &shape)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
+    fn potential<'py>(
+        &self,
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let (values, shape) =
+            self.scattered(py, [north_m, east_m, down_m], |model, p| Ok(model.potential(p, extrapolate)))?;
+        shaped(py, values, &shape)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
+    fn gradient<'py>(
+        &self,
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let (values, mut shape) =
+            self.scattered(py, [north_m, east_m, down_m], |model, p| Ok(model.gradient(p, extrapolate)))?;
+        shape.extend([3, 3]);
+        shaped(py, values.into_flattened().into_flattened(), &shape)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, *, direction = None, extrapolate = false))]
+    fn sigma<'py>(
+        &self,
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: &Bound<'py, PyAny>,
+        direction: Option<&Bound<'py, PyAny>>,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let axes = [north_m, east_m, down_m];
+        if let Some(direction) = direction {
+            let directions = vectors("direction", direction)?.0;
+            let (values, shape) =
+                self.scattered(py, axes, |model, p| model.sigma_along(p, &directions, extrapolate))?;
+            return shaped(py, values, &shape);
+        }
+        let (values, shape) = self.scattered(py, axes, |model, p| model.sigma(p, extrapolate))?;
+        stacked(py, values, &shape)
+    }
+
+    #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
+    fn field_grid<'py>(
+        &self,
+        py: Python<'py>,
+        north_m: &Bound<'py, PyAny>,
+        east_m: &Bound<'py, PyAny>,
+        down_m: f64,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let (north, east) = (vector("north_m", north_m)?, vector("east_m", east_m)?);
+        let model = &*self.inner;
+        let values = py.detach(|| model.field_grid(&north, &east, down_m, extrapolate))?;
+        stacked(py, values, &[north.len(), east.len()])
+    }
+
+    #[pyo3(signature = (latitude_deg, longitude_deg, height_m, *, extrapolate = false))]
+    fn field_geographic<'py>(
+        &self,
+        py: Python<'py>,
+        latitude_deg: &Bound<'py, PyAny>,
+        longitude_deg: &Bound<'py, PyAny>,
+        height_m: &Bound<'py, PyAny>,
+        extrapolate: bool,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let names = ["latitude_deg", "longitude_deg", "height_m"];
+        let ([lat, lon, h], shape) = broadcast(names, [latitude_deg, longitude_deg, height_m])?;
+        let values = py.detach(|| self.inner.field_geographic(&lat, &lon, &h, extrapolate))?;
+        stacked(py, values, &shape)
+    }
+
+    #[pyo3(signature = (quantity = "down", *, main_field = None, down_m = None, height_m = None))]
+    fn to_map(
+        &self,
+        quantity: &str,
+        main_field: Option<&Bound<'_, PyAny>>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+    ) -> PyRes<PyHarmonicMap> {
+        let quantity = self::quantity(quantity, main_vector(main_field)?)?;
+        Ok(PyHarmonicMap { inner: Arc::new(self.level(quantity, down_m, height_m)?), down_m, height_m })
+    }
+
+    #[pyo3(signature = (x, y, *, quantity = "down", main_field = None, down_m = None, height_m = None))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn sample_to_grid<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+        quantity: &str,
+        main_field: Option<&Bound<'py, PyAny>>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        self.to_map(quantity, main_field, down_m, height_m)?.to_grid(py, x, y)
+    }
+
+    #[pyo3(signature = (path = None, *, covariance = true))]
+    fn to_json(&self, py: Python<'_>, path: Option<std::path::PathBuf>, covariance: bool) -> PyRes<Option<String>> {
+        let text = py.detach(|| {
+            if covariance { self.inner.to_json() } else { (*self.inner).clone().without_covariance().to_json() }
+        })?;
+        match path {
+            None => Ok(Some(text)),
+            Some(path) => {
+                std::fs::write(&path, text).map_err(|e| file_error(&path, &e))?;
+                Ok(None)
+            }
+        }
+    }
+
+    #[staticmethod]
+    fn from_json(py: Python<'_>, path: &Bound<'_, PyAny>) -> PyRes<Self> {
+        let given: Option<String> = path.extract().ok();
+        let text = match given {
+            Some(text) if text.trim_start().starts_with('{') => text,
+            _ => {
+                let path: std::path::PathBuf = path.extract()?;
+                std::fs::read_to_string(&path).map_err(|e| file_error(&path, &e))?
+            }
+        };
+        Ok(Self { inner: Arc::new(py.detach(|| RectangularHarmonicModel::from_json(&text))?) })
+    }
+
+    #[getter]
+    fn order(&self) -> usize {
+        self.inner.order()
+    }
+
+    #[getter]
+    fn periods_m(&self) -> (f64, f64) {
+        self.inner.periods_m().into()
+    }
+
+    #[getter]
+    fn coefficients<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let coefficients = self.inner.coefficients();
+        shaped(py, coefficients.to_vec(), &[coefficients.len()])
+    }
+
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        let n = self.inner.coefficients().len();
+        self.inner.covariance().map(|c| shaped(py, c, &[n, n])).transpose()
+    }
+
+    #[getter]
+    fn region<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let r = self.inner.region();
+        shaped(py, [r.north_m, r.east_m, r.down_m].into_flattened_vec(), &[3, 2])
+    }
+
+    #[getter]
+    fn frame(&self) -> Option<PyLocalFrame> {
+        self.inner.frame().map(|&inner| PyLocalFrame { inner })
+    }
+
+    #[getter]
+    fn unit(&self) -> &str {
+        self.inner.unit()
+    }
+
+    #[getter]
+    fn summary<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
+        let Some(s) = self.inner.summary() else { return Ok(None) };
+        let out = PyDict::new(py);
+        out.set_item("n_observations", s.n_observations)?;
+        out.set_item("residual_rms", s.residual_rms)?;
+        out.set_item("unit_sigma", s.unit_sigma)?;
+        out.set_item("effective_parameters", s.effective_parameters)?;
+        out.set_item("iterations", s.iterations)?;
+        out.set_item("converged", s.converged)?;
+        Ok(Some(out))
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self.inner == other.inner
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (String,))> {
+        Ok((slf.get_type().getattr("from_json")?, (slf.get().inner.to_json()?,)))
+    }
+
+    fn __repr__(&self) -> String {
+        let m = &self.inner;
+        let [north, east] = m.periods_m();
+        let fitted = m.summary().map_or_else(String::new, |s| {
+            format!(", {} observations, residual {:.4} {} rms", s.n_observations, s.residual_rms, m.unit())
+        });
+        format!(
+            "RectangularHarmonicModel(order {}, {} coefficients, periods {:.1} x {:.1} km{fitted})",
+            m.order(),
+            m.coefficients().len(),
+            north / 1e3,
+            east / 1e3
+        )
+    }
+}
+
+trait IntoFlattenedVec {
+    fn into_flattened_vec(self) -> Vec<f64>;
+}
+
+impl<const N: usize> IntoFlattenedVec for [[f64; 2]; N] {
+    fn into_flattened_vec(self) -> Vec<f64> {
+        self.into_iter().flatten().collect()
+    }
+}
+
+fn file_error(path: &std::path::Path, error: &std::io::Error) -> PyErr {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => {
+            pyo3::exceptions::PyFileNotFoundError::new_err(format!("{}: {error}", path.display()))
+        }
+        _ => pyo3::exceptions::PyOSError::new_err(format!("{}: {error}", path.display())),
+    }
+}
+
+/// One scalar of a harmonic model on a level surface: stands wherever a matcher takes a map.
+///
+/// Made by `RectangularHarmonicModel.to_map`. With `height_m` coordinates are degrees (x longitude, y latitude), with
+/// `down_m` metres (x east, y north of the frame's origin).
+#[pyclass(frozen, name = "HarmonicMap", module = "geomag")]
+pub struct PyHarmonicMap {
+    /// The map.
+    pub inner: Arc<HarmonicMap>,
+    down_m: Option<f64>,
+    height_m: Option<f64>,
+}
+
+#[pymethods]
+impl PyHarmonicMap {
+    fn sample<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
+        let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.value(x, y)).collect());
+        shaped(py, values, &shape)
+    }
+
+    fn gradient<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+    ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
+        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
+        let (east, north) = py.detach(|| {
+            x.iter()
+                .zip(&y)
+                .map(|(&x, &y)| self.inner.value_and_gradient(x, y).1)
+                .map(|[e, n]| (e, n))
+                .unzip::<f64, f64, Vec<_>, Vec<_>>()
+        });
+        Ok((shaped(py, east, &shape)?, shaped(py, north, &shape)?))
+    }
+
+    fn to_grid<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+        let axis = |name: &str, object: &Bound<'py, PyAny>| -> PyRes<Axis> {
+            let (axis, reversed) = Axis::from_coordinates(name, &vector(name, object)?, 0.0)?;
+            if reversed { Err(invalid(name, "ascending coordinates", "descending ones")) } else { Ok(axis) }
+        };
+        let (x, y) = (axis("x", x)?, axis("y", y)?);
+        let grid: GridMap = py.detach(|| self.inner.to_grid(x, y))?;
+        let unit = self.inner.model().unit().to_owned();
+        Ok(PyGridMap::from_core(grid, None, Some(unit), None).into_pyobject(py)?.into_any())
+    }
+
+    #[getter]
+    fn geographic(&self) -> bool {
+        self.inner.geographic()
+    }
+
+    #[getter]
+    fn spacing(&self) -> (f64, f64) {
+        self.inner.spacing().into()
+    }
+
+    #[getter]
+    fn mean(&self) -> f64 {
+        self.inner.mean()
+    }
+
+    #[getter]
+    fn model(&self) -> PyHarmonicModel {
+        PyHarmonicModel { inner: Arc::clone(self.inner.model()) }
+    }
+
+    #[getter]
+    fn quantity(&self) -> &'static str {
+        quantity_name(self.inner.quantity()).0
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let this = slf.get();
+        let (name, main) = quantity_name(this.inner.quantity());
+        let arguments = (this.model(), name, main, this.down_m, this.height_m).into_pyobject(slf.py())?;
+        Ok((slf.get_type().getattr("_restore")?, arguments))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (model, quantity, main_field, down_m, height_m))]
+    fn _restore(
+        model: &PyHarmonicModel,
+        quantity: &str,
+        main_field: Option<[f64; 3]>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+    ) -> PyRes<Self> {
+        let inner = Arc::new(model.level(self::quantity(quantity, main_field)?, down_m, height_m)?);
+        Ok(Self { inner, down_m, height_m })
+    }
+
+    fn __repr__(&self) -> String {
+        let level = match (self.height_m, self.down_m) {
+            (Some(h), _) => format!("height {h} m"),
+            (None, d) => format!("down {} m", d.unwrap_or(0.0)),
+        };
+        format!("HarmonicMap({} at {level}, order {})", self.quantity(), self.inner.model().order())
+    }
+}

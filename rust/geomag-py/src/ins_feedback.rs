@@ -1,0 +1,254 @@
+//! `InsFeedback` and its steps.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use geomag_core::error::Error;
+use geomag_core::navigation::ins_feedback::{CorrectedPosition, FeedbackStep, InsErrorModel, InsFeedback};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyTuple};
+
+use crate::arrays::{matrix, pair, shaped};
+use crate::error::{PyRes, invalid};
+use crate::fix::PyFix;
+use crate::state;
+
+fn covariance(object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
+    let (v, rows, columns) = matrix("covariance_m2", object)?;
+    if (rows, columns) != (2, 2) {
+        return Err(Error::shape("covariance_m2", "(2, 2) east-north", format!("({rows}, {columns})")).into());
+    }
+    Ok([[v[0], v[1]], [v[2], v[3]]])
+}
+
+/// A corrected position with its covariance.
+#[pyclass(frozen, name = "CorrectedPosition", module = "geomag")]
+pub struct PyCorrectedPosition {
+    inner: CorrectedPosition,
+}
+
+#[pymethods]
+impl PyCorrectedPosition {
+    /// East, map units.
+    #[getter]
+    fn x(&self) -> f64 {
+        self.inner.x
+    }
+
+    /// North, map units.
+    #[getter]
+    fn y(&self) -> f64 {
+        self.inner.y
+    }
+
+    /// True minus indicated, metres (east, north).
+    #[getter]
+    fn offset_m(&self) -> (f64, f64) {
+        self.inner.offset_m.into()
+    }
+
+    /// Covariance, square metres, east-north.
+    #[getter]
+    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.inner.covariance_m2.concat(), &[2, 2])
+    }
+
+    fn __repr__(&self) -> String {
+        let c = &self.inner;
+        let sigma = |i: usize| c.covariance_m2[i][i].max(0.0).sqrt();
+        format!("CorrectedPosition(x {:.6}, y {:.6}, sigma {:.1} x {:.1} m)", c.x, c.y, sigma(0), sigma(1))
+    }
+}
+
+/// One step of the feedback.
+#[pyclass(frozen, name = "FeedbackStep", module = "geomag")]
+pub struct PyFeedbackStep {
+    inner: FeedbackStep,
+}
+
+#[pymethods]
+impl PyFeedbackStep {
+    /// As predicted, before any fix of this step.
+    #[getter]
+    fn before(&self) -> PyCorrectedPosition {
+        PyCorrectedPosition { inner: self.inner.before }
+    }
+
+    /// After the fix of this step.
+    #[getter]
+    fn after(&self) -> PyCorrectedPosition {
+        PyCorrectedPosition { inner: self.inner.after }
+    }
+
+    /// Normalised innovation squared of the fix (chi-square, 2 degrees of freedom); None without a fix.
+    #[getter]
+    fn nis(&self) -> Option<f64> {
+        self.inner.nis
+    }
+
+    /// Whether a fix was used.
+    #[getter]
+    fn accepted(&self) -> bool {
+        self.inner.accepted
+    }
+
+    fn __repr__(&self) -> String {
+        let what = match (self.inner.nis, self.inner.accepted) {
+            (None, _) => "no fix".to_owned(),
+            (Some(nis), true) => format!("fix used, NIS {nis:.2}"),
+            (Some(nis), false) => format!("fix refused, NIS {nis:.2}"),
+        };
+        format!("FeedbackStep(x {:.6}, y {:.6}, {what})", self.inner.after.x, self.inner.after.y)
+    }
+}
+
+/// The horizontal error of an INS, followed from fix to fix.
+///
+/// A linear Kalman filter of position, velocity and heading error. A fix is tested by its normalised innovation and
+/// refused beyond the gate. Not for attitude or height: see pyins for a full error-state filter.
+///
+/// Parameters
+/// ----------
+/// position_sigma_m, velocity_sigma_m_s, heading_sigma_deg : float
+///     Errors at the start (each axis).
+/// position_walk_m, velocity_walk_m_s, heading_walk_deg : float
+///     Random walks, per square root of a second.
+/// velocity_time_constant_s : float
+///     Time after which a velocity error has forgotten itself; inf is a pure random walk.
+/// geographic : bool
+///     Positions are longitude and latitude.
+/// gate_probability : float
+///     Share of good fixes that the gate lets through.
+///
+/// Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, chapters 3 and 14,
+/// reduced to the horizontal plane.
+///
+/// Examples
+/// --------
+/// >>> import geomag
+/// >>> feedback = geomag.InsFeedback(position_sigma_m=500.0)
+/// >>> _ = feedback.step(0.0, 0.0, 0.0)
+/// >>> step = feedback.step(60.0, 600.0, 0.0, offset_m=(300.0, -200.0), covariance_m2=[[2500.0, 0.0], [0.0, 2500.0]])
+/// >>> step.accepted, [round(v, -1) for v in step.after.offset_m]
+/// (True, [300.0, -200.0])
+#[pyclass(frozen, name = "InsFeedback", module = "geomag")]
+pub struct PyInsFeedback {
+    inner: Mutex<InsFeedback>,
+}
+
+impl PyInsFeedback {
+    fn lock(&self) -> MutexGuard<'_, InsFeedback> {
+        // A step replaces the filter whole, at its end.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl PyInsFeedback {
+    #[new]
+    #[pyo3(signature = (*, position_sigma_m = 500.0, velocity_sigma_m_s = 0.5, heading_sigma_deg = 0.1,
+                        position_walk_m = 0.1, velocity_walk_m_s = 0.001, heading_walk_deg = 0.0005,
+                        velocity_time_constant_s = f64::INFINITY, geographic = false, gate_probability = 0.999))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn new(
+        position_sigma_m: f64,
+        velocity_sigma_m_s: f64,
+        heading_sigma_deg: f64,
+        position_walk_m: f64,
+        velocity_walk_m_s: f64,
+        heading_walk_deg: f64,
+        velocity_time_constant_s: f64,
+        geographic: bool,
+        gate_probability: f64,
+    ) -> PyRes<Self> {
+        let model = InsErrorModel {
+            position_sigma_m,
+            velocity_sigma_m_s,
+            heading_sigma_deg,
+            position_walk_m,
+            velocity_walk_m_s,
+            heading_walk_deg,
+            velocity_time_constant_s,
+        };
+        Ok(Self { inner: Mutex::new(InsFeedback::new(model, geographic, gate_probability)?) })
+    }
+
+    /// Advance to an indicated position at a time, and take a fix of it where there is one.
+    ///
+    /// The fix is either `fix`, a matcher's answer for this very position (not used unless ``fix.ok`` and it has a
+    /// covariance or is given `covariance_m2`), or `offset_m` (true minus indicated, east and north) with
+    /// `covariance_m2`. Returns a `FeedbackStep`.
+    #[pyo3(signature = (time_s, x, y, fix = None, *, offset_m = None, covariance_m2 = None))]
+    fn step(
+        &self,
+        time_s: f64,
+        x: f64,
+        y: f64,
+        fix: Option<&PyFix>,
+        offset_m: Option<&Bound<'_, PyAny>>,
+        covariance_m2: Option<&Bound<'_, PyAny>>,
+    ) -> PyRes<PyFeedbackStep> {
+        let covariance = covariance_m2.map(covariance).transpose()?;
+        let inner = match (fix, offset_m) {
+            (Some(_), Some(_)) => return Err(invalid("step", "fix or offset_m", "both")),
+            (Some(fix), None) => self.lock().step_with_fix(time_s, x, y, &fix.inner, covariance)?,
+            (None, Some(offset)) => {
+                let covariance = covariance.ok_or_else(|| invalid("covariance_m2", "(2, 2) with offset_m", "None"))?;
+                self.lock().step(time_s, x, y, Some((pair("offset_m", offset)?, covariance)))?
+            }
+            (None, None) => self.lock().step(time_s, x, y, None)?,
+        };
+        Ok(PyFeedbackStep { inner })
+    }
+
+    /// Estimated velocity error, m/s (east, north).
+    #[getter]
+    fn velocity_error_m_s(&self) -> (f64, f64) {
+        self.lock().velocity_error_m_s().into()
+    }
+
+    /// Estimated heading error, degrees clockwise.
+    #[getter]
+    fn heading_error_deg(&self) -> f64 {
+        self.lock().heading_error_deg()
+    }
+
+    /// State: position error east, north (m), velocity error east, north (m/s), heading error (rad).
+    #[getter]
+    fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.lock().filter().state().as_slice().to_vec(), &[5])
+    }
+
+    /// Covariance of the state, (5, 5).
+    #[getter]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.lock().filter().covariance().as_slice().to_vec(), &[5, 5])
+    }
+
+    /// Fixes used so far.
+    #[getter]
+    fn accepted(&self) -> usize {
+        self.lock().accepted()
+    }
+
+    /// Fixes refused so far.
+    #[getter]
+    fn refused(&self) -> usize {
+        self.lock().refused()
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let py = slf.py();
+        let bytes = PyBytes::new(py, &state::save("InsFeedback", &*slf.get().lock())?);
+        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+    }
+
+    #[staticmethod]
+    fn _restore(bytes: &[u8]) -> PyRes<Self> {
+        Ok(Self { inner: Mutex::new(state::load("InsFeedback", bytes)?) })
+    }
+
+    fn __repr__(&self) -> String {
+        let f = self.lock();
+        format!("InsFeedback({} fixes used, {} refused)", f.accepted(), f.refused())
+    }
+}

@@ -1,0 +1,405 @@
+//! `UnscentedKalmanFilter` and `ExtendedKalmanFilter`.
+
+use std::sync::{Mutex, PoisonError};
+
+use geomag_core::error::Error;
+use geomag_core::kalman::{ExtendedKalmanFilter, Innovation, Scaling, UnscentedKalmanFilter};
+use numpy::{PyArray1, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use crate::arrays::{array, shaped, vector};
+use crate::error::{PyError, PyRes, invalid};
+use crate::navigator::PyFieldSensor;
+
+type CoreMatrix = nalgebra::DMatrix<f64>;
+
+fn row_major<'py>(py: Python<'py>, m: &CoreMatrix) -> PyRes<Bound<'py, PyAny>> {
+    shaped(py, m.transpose().as_slice().to_vec(), &[m.nrows(), m.ncols()])
+}
+
+/// A square matrix: given whole, as its diagonal, or as one number times the identity.
+fn covariance(what: &str, n: usize, object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
+    let array = array(what, object)?;
+    let values: Vec<f64> = array.as_array().iter().copied().collect();
+    let diagonal = |at: &dyn Fn(usize) -> f64| {
+        (0..n * n).map(|k| if k / n == k % n { at(k / n) } else { 0.0 }).collect::<Vec<_>>()
+    };
+    match array.shape() {
+        [] => Ok(diagonal(&|_| values[0])),
+        &[len] if len == n => Ok(diagonal(&|i| values[i])),
+        &[rows, columns] if rows == n && columns == n => Ok(values),
+        other => Err(Error::shape(what, format!("({n}, {n}), ({n},) or a number"), format!("{other:?}")).into()),
+    }
+}
+
+/// A function of the state: a Python callable, a matrix, or a field sensor that needs no Python at all.
+enum Model<'py> {
+    Callable(Bound<'py, PyAny>),
+    Matrix(Vec<f64>, usize),
+    Sensor(Bound<'py, PyFieldSensor>),
+}
+
+impl<'py> Model<'py> {
+    fn new(what: &str, object: &Bound<'py, PyAny>, states: usize) -> PyRes<Self> {
+        if let Ok(sensor) = object.cast::<PyFieldSensor>() {
+            return Ok(Self::Sensor(sensor.clone()));
+        }
+        if object.is_callable() {
+            return Ok(Self::Callable(object.clone()));
+        }
+        let (values, rows, columns) = crate::arrays::matrix(what, object)?;
+        if columns == states {
+            Ok(Self::Matrix(values, rows))
+        } else {
+            let needed = format!("a callable, a FieldSensor or a matrix with {states} columns");
+            Err(invalid(what, &needed, format!("({rows}, {columns})")))
+        }
+    }
+
+    fn call(&self, py: Python<'py>, what: &str, x: &[f64], out: &mut [f64]) -> PyRes<()> {
+        match self {
+            Self::Callable(f) => {
+                let result = f.call1((PyArray1::from_slice(py, x),))?;
+                let values = vector(what, &result)?;
+                if values.len() != out.len() {
+                    let needed = format!("({},)", out.len());
+                    return Err(Error::shape(what, needed, format!("({},)", values.len())).into());
+                }
+                out.copy_from_slice(&values);
+            }
+            Self::Matrix(m, rows) => {
+                if *rows != out.len() {
+                    let needed = format!("({}, {})", out.len(), x.len());
+                    return Err(Error::shape(what, needed, format!("({rows}, {})", x.len())).into());
+                }
+                for (o, row) in out.iter_mut().zip(m.chunks_exact(x.len())) {
+                    *o = row.iter().zip(x).map(|(a, b)| a * b).sum();
+                }
+            }
+            Self::Sensor(sensor) => {
+                let sensing = &sensor.get().inner;
+                if sensing.len() != out.len() || x.len() < 2 {
+                    let needed = format!("{} numbers of a state that starts with x and y", sensing.len());
+                    return Err(Error::shape(what, needed, format!("{} of {}", out.len(), x.len())).into());
+                }
+                sensing.read(&[[x[0], x[1]]], out);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The scaled unscented Kalman filter, for any motion and any measurement.
+///
+/// Parameters
+/// ----------
+/// x : array (n,)
+///     Mean of the state.
+/// P : array (n, n)
+///     Its covariance, symmetric positive definite.
+/// alpha, beta, kappa : float
+///     Spread of the sigma points and weight of the centre. alpha = 1 suits fields that bend within the position error;
+///     1e-3 samples the slope at one point.
+///
+/// `predict(f, Q)` and `update(z, h, R)` take a callable `state -> array`, a matrix for linear models, or (as h) a
+/// `FieldSensor`, which is read without Python. Q and R may be given whole, as a diagonal or as one number, and may be
+/// singular. Carried as a Cholesky factor that is turned by orthogonal transformations: for beta >= alpha**2 the
+/// covariance is positive definite by construction. Sigma points are drawn anew for every call.
+///
+/// Sources: Julier & Uhlmann; Wan & van der Merwe 2000 (scaled transform); Zhao et al. 2012 with its predicted and
+/// innovation covariances mended.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> ukf = geomag.UnscentedKalmanFilter([0.0, 1.0], np.diag([4.0, 1.0]))
+/// >>> ukf.predict(lambda x: [x[0] + x[1], x[1]], 0.1)
+/// >>> ukf.update([1.5], lambda x: [x[0]], 0.5)
+/// True
+/// >>> round(ukf.nis, 4)
+/// 0.0446
+#[pyclass(frozen, name = "UnscentedKalmanFilter", module = "geomag")]
+pub struct PyUnscentedKalmanFilter {
+    inner: Mutex<UnscentedKalmanFilter>,
+}
+
+impl PyUnscentedKalmanFilter {
+    fn snapshot(&self) -> UnscentedKalmanFilter {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn store(&self, filter: UnscentedKalmanFilter) {
+        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = filter;
+    }
+}
+
+#[pymethods]
+impl PyUnscentedKalmanFilter {
+    #[new]
+    #[pyo3(signature = (x, P, *, alpha = 1.0, beta = 2.0, kappa = 0.0))]
+    #[allow(non_snake_case)] // P as in every text on filters
+    fn new(x: &Bound<'_, PyAny>, P: &Bound<'_, PyAny>, alpha: f64, beta: f64, kappa: f64) -> PyRes<Self> {
+        let mean = vector("x", x)?;
+        let p = covariance("P", mean.len(), P)?;
+        let inner = UnscentedKalmanFilter::new(&mean, &p, Scaling { alpha, beta, kappa })?;
+        Ok(Self { inner: Mutex::new(inner) })
+    }
+
+    #[allow(non_snake_case)] // Q as in every text on filters
+    fn predict(&self, py: Python<'_>, f: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
+        // The callable may look at this filter: it works on a copy, nothing is locked meanwhile.
+        let mut filter = self.snapshot();
+        let n = filter.estimate().len();
+        let (model, q) = (Model::new("f", f, n)?, covariance("Q", n, Q)?);
+        filter.predict::<PyError>(|x, out| model.call(py, "f", x, out), &q)?;
+        self.store(filter);
+        Ok(())
+    }
+
+    #[pyo3(signature = (z, h, R, *, gate = None))]
+    #[allow(non_snake_case)] // R as in every text on filters
+    fn update(
+        &self,
+        py: Python<'_>,
+        z: &Bound<'_, PyAny>,
+        h: &Bound<'_, PyAny>,
+        R: &Bound<'_, PyAny>,
+        gate: Option<f64>,
+    ) -> PyRes<bool> {
+        let mut filter = self.snapshot();
+        let z = vector("z", z)?;
+        let (model, r) = (Model::new("h", h, filter.estimate().len())?, covariance("R", z.len(), R)?);
+        let accepted = filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, gate)?.accepted;
+        self.store(filter);
+        Ok(accepted)
+    }
+
+    #[getter]
+    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let mean = self.snapshot().estimate().mean().to_vec();
+        let shape = [mean.len()];
+        shaped(py, mean, &shape)
+    }
+
+    #[setter]
+    fn set_x(&self, x: &Bound<'_, PyAny>) -> PyRes<()> {
+        let mut filter = self.snapshot();
+        let p = filter.estimate().covariance();
+        filter.set(&vector("x", x)?, p.as_slice())?;
+        self.store(filter);
+        Ok(())
+    }
+
+    #[getter(P)]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        row_major(py, &self.snapshot().estimate().covariance())
+    }
+
+    #[setter(P)]
+    fn set_covariance(&self, p: &Bound<'_, PyAny>) -> PyRes<()> {
+        let mut filter = self.snapshot();
+        let mean = filter.estimate().mean().to_vec();
+        filter.set(&mean, &covariance("P", mean.len(), p)?)?;
+        self.store(filter);
+        Ok(())
+    }
+
+    #[getter]
+    fn alpha(&self) -> f64 {
+        self.snapshot().scaling().alpha
+    }
+
+    #[getter]
+    fn beta(&self) -> f64 {
+        self.snapshot().scaling().beta
+    }
+
+    #[getter]
+    fn kappa(&self) -> f64 {
+        self.snapshot().scaling().kappa
+    }
+
+    /// Normalised innovation squared of the newest update; None before the first.
+    #[getter]
+    fn nis(&self) -> Option<f64> {
+        self.snapshot().innovation().map(|i| i.nis)
+    }
+
+    #[getter]
+    fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        residual(py, self.snapshot().innovation())
+    }
+
+    #[getter(S)]
+    fn innovation_covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.snapshot().innovation().map(|i| row_major(py, &i.covariance)).transpose()
+    }
+
+    #[getter(K)]
+    fn gain<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.snapshot().innovation().map(|i| row_major(py, &i.gain)).transpose()
+    }
+
+    /// How often a pivot had to be raised to keep P positive definite.
+    #[getter]
+    fn regularisations(&self) -> u64 {
+        self.snapshot().estimate().regularisations()
+    }
+
+    fn sigma_points<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        row_major(py, &self.snapshot().sigma_points().transpose())
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        let bytes = geomag_core::state::save("UnscentedKalmanFilter", &slf.get().snapshot())?;
+        Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
+    }
+
+    #[staticmethod]
+    fn _restore(bytes: &[u8]) -> PyRes<Self> {
+        Ok(Self { inner: Mutex::new(geomag_core::state::load("UnscentedKalmanFilter", bytes)?) })
+    }
+
+    fn __repr__(&self) -> String {
+        let filter = self.snapshot();
+        let s = filter.scaling();
+        let nis = filter.innovation().map_or_else(|| "no update yet".to_owned(), |i| format!("NIS {:.3}", i.nis));
+        format!(
+            "UnscentedKalmanFilter({} states, alpha {}, beta {}, kappa {}, {nis})",
+            filter.estimate().len(),
+            s.alpha,
+            s.beta,
+            s.kappa
+        )
+    }
+}
+
+fn residual<'py>(py: Python<'py>, innovation: Option<&Innovation>) -> PyRes<Option<Bound<'py, PyAny>>> {
+    innovation.map(|i| shaped(py, i.residual.as_slice().to_vec(), &[i.residual.len()])).transpose()
+}
+
+/// The extended Kalman filter: predicted values and Jacobians come from the caller.
+///
+/// Cheaper than the unscented filter where gradients are known, and as good where the field is straight within the
+/// position error. On linear models it is the Kalman filter. P, Q and R as in `UnscentedKalmanFilter`.
+///
+/// Examples
+/// --------
+/// >>> import geomag
+/// >>> ekf = geomag.ExtendedKalmanFilter([0.0], 1.0)
+/// >>> ekf.predict([0.5], [[1.0]], 1.0)
+/// >>> ekf.update([2.5], [0.5], [[1.0]], 2.0)
+/// True
+/// >>> float(ekf.x[0])
+/// 1.5
+#[pyclass(frozen, name = "ExtendedKalmanFilter", module = "geomag")]
+pub struct PyExtendedKalmanFilter {
+    inner: Mutex<ExtendedKalmanFilter>,
+}
+
+impl PyExtendedKalmanFilter {
+    fn snapshot(&self) -> ExtendedKalmanFilter {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn change<T>(&self, change: impl FnOnce(&mut ExtendedKalmanFilter) -> PyRes<T>) -> PyRes<T> {
+        change(&mut self.inner.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+#[pymethods]
+impl PyExtendedKalmanFilter {
+    #[new]
+    #[allow(non_snake_case)] // P as in every text on filters
+    fn new(x: &Bound<'_, PyAny>, P: &Bound<'_, PyAny>) -> PyRes<Self> {
+        let mean = vector("x", x)?;
+        let p = covariance("P", mean.len(), P)?;
+        Ok(Self { inner: Mutex::new(ExtendedKalmanFilter::new(&mean, &p)?) })
+    }
+
+    #[allow(non_snake_case)] // F, Q as in every text on filters
+    fn predict(&self, state: &Bound<'_, PyAny>, F: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
+        let state = vector("state", state)?;
+        let (f, _, _) = crate::arrays::matrix("F", F)?;
+        let q = covariance("Q", state.len(), Q)?;
+        self.change(|filter| Ok(filter.predict(&state, &f, &q)?))
+    }
+
+    #[pyo3(signature = (z, expected, H, R, *, gate = None))]
+    #[allow(non_snake_case)] // H, R as in every text on filters
+    fn update(
+        &self,
+        z: &Bound<'_, PyAny>,
+        expected: &Bound<'_, PyAny>,
+        H: &Bound<'_, PyAny>,
+        R: &Bound<'_, PyAny>,
+        gate: Option<f64>,
+    ) -> PyRes<bool> {
+        let (z, expected) = (vector("z", z)?, vector("expected", expected)?);
+        let (h, _, _) = crate::arrays::matrix("H", H)?;
+        let r = covariance("R", z.len(), R)?;
+        self.change(|filter| Ok(filter.update(&z, &expected, &h, &r, gate)?.accepted))
+    }
+
+    #[getter]
+    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let mean = self.snapshot().estimate().mean().to_vec();
+        let shape = [mean.len()];
+        shaped(py, mean, &shape)
+    }
+
+    #[setter]
+    fn set_x(&self, x: &Bound<'_, PyAny>) -> PyRes<()> {
+        let mean = vector("x", x)?;
+        self.change(|filter| {
+            let p = filter.estimate().covariance();
+            Ok(filter.set(&mean, p.as_slice())?)
+        })
+    }
+
+    #[getter(P)]
+    fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        row_major(py, &self.snapshot().estimate().covariance())
+    }
+
+    #[setter(P)]
+    fn set_covariance(&self, p: &Bound<'_, PyAny>) -> PyRes<()> {
+        let mean = self.snapshot().estimate().mean().to_vec();
+        let p = covariance("P", mean.len(), p)?;
+        self.change(|filter| Ok(filter.set(&mean, &p)?))
+    }
+
+    /// Normalised innovation squared of the newest update; None before the first.
+    #[getter]
+    fn nis(&self) -> Option<f64> {
+        self.snapshot().innovation().map(|i| i.nis)
+    }
+
+    #[getter]
+    fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        residual(py, self.snapshot().innovation())
+    }
+
+    /// How often a pivot had to be raised to keep P positive definite.
+    #[getter]
+    fn regularisations(&self) -> u64 {
+        self.snapshot().estimate().regularisations()
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        let bytes = geomag_core::state::save("ExtendedKalmanFilter", &slf.get().snapshot())?;
+        Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
+    }
+
+    #[staticmethod]
+    fn _restore(bytes: &[u8]) -> PyRes<Self> {
+        Ok(Self { inner: Mutex::new(geomag_core::state::load("ExtendedKalmanFilter", bytes)?) })
+    }
+
+    fn __repr__(&self) -> String {
+        let filter = self.snapshot();
+        let nis = filter.innovation().map_or_else(|| "no update yet".to_owned(), |i| format!("NIS {:.3}", i.nis));
+        format!("ExtendedKalmanFilter({} states, {nis})", filter.estimate().len())
+    }
+}

@@ -1,0 +1,488 @@
+//! `FieldSensor`, `FieldNavigator` and its steps.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use geomag_core::error::Error;
+use geomag_core::grid::Interpolation;
+use geomag_core::kalman::Scaling;
+use geomag_core::navigation::field_navigator::{FieldNavigator, Method, NavigatorOptions, NavigatorStep};
+use geomag_core::navigation::sensing::{Sensing, Sensor};
+use numpy::{PyArrayDyn, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyTuple};
+
+use crate::arrays::{broadcast, matrix, pair, shaped, vector};
+use crate::error::{PyRes, invalid};
+use crate::grid::{field, interpolation};
+use crate::harmonic::{PyHarmonicModel, main_vector, quantity};
+
+/// What a sensor reads of a field at a place.
+///
+/// Parameters
+/// ----------
+/// source : RectangularHarmonicModel, GridMap or HarmonicMap
+///     The field.
+/// reading : {'vector', 'north', 'east', 'down', 'projection', 'anomaly', 'intensity'}
+///     What is measured of a harmonic model; maps give their own value.
+/// main_field : array (3,), optional
+///     Main field (north, east, down in the model's frame) for the last three readings.
+/// down_m, height_m : float, optional
+///     Level in a harmonic model: a plane of its frame (places are then x east, y north, metres; 0 by default) or a
+///     height above its Earth (places are then degrees).
+/// interpolation : {'bicubic', 'bilinear'}
+///     How a grid is read.
+///
+/// Callable with a state that begins with x, y; `UnscentedKalmanFilter.update` takes it as h and reads it natively.
+#[pyclass(frozen, name = "FieldSensor", module = "geomag")]
+pub struct PyFieldSensor {
+    /// The sensor.
+    pub inner: Sensing,
+    source: Py<PyAny>,
+    reading: String,
+    main_field: Option<[f64; 3]>,
+    down_m: Option<f64>,
+    height_m: Option<f64>,
+    interpolation: String,
+}
+
+impl PyFieldSensor {
+    fn make(
+        source: &Bound<'_, PyAny>,
+        reading: &str,
+        main_field: Option<[f64; 3]>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+        interpolated: &str,
+    ) -> PyRes<Self> {
+        let method: Interpolation = interpolation(interpolated)?;
+        let inner = if let Ok(model) = source.cast::<PyHarmonicModel>() {
+            let model = Arc::clone(&model.get().inner);
+            let sensor = match reading {
+                "vector" => Sensor::Vector,
+                name => Sensor::Scalar(quantity(name, main_field)?),
+            };
+            match (down_m, height_m) {
+                (Some(_), Some(_)) => return Err(invalid("level", "one of down_m and height_m", "both")),
+                (down, None) => Sensing::at_down(model, sensor, down.unwrap_or(0.0))?,
+                (None, Some(height)) => Sensing::at_height(model, sensor, height)?,
+            }
+        } else {
+            if down_m.is_some() || height_m.is_some() || main_field.is_some() {
+                return Err(invalid("down_m, height_m, main_field", "none of them with a map", "a level"));
+            }
+            Sensing::map(field(source)?, method)
+        };
+        Ok(Self {
+            inner,
+            source: source.clone().unbind(),
+            reading: reading.to_owned(),
+            main_field,
+            down_m,
+            height_m,
+            interpolation: interpolated.to_owned(),
+        })
+    }
+}
+
+#[pymethods]
+impl PyFieldSensor {
+    #[new]
+    #[pyo3(signature = (source, *, reading = "vector", main_field = None, down_m = None, height_m = None,
+                        interpolation = "bicubic"))]
+    fn new(
+        source: &Bound<'_, PyAny>,
+        reading: &str,
+        main_field: Option<&Bound<'_, PyAny>>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+        interpolation: &str,
+    ) -> PyRes<Self> {
+        Self::make(source, reading, main_vector(main_field)?, down_m, height_m, interpolation)
+    }
+
+    fn __call__<'py>(&self, py: Python<'py>, state: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+        let state = vector("state", state)?;
+        let &[x, y, ..] = state.as_slice() else {
+            return Err(Error::shape("state", "x, y, ...", format!("({},)", state.len())).into());
+        };
+        let mut out = vec![0.0; self.inner.len()];
+        self.inner.read(&[[x, y]], &mut out);
+        let shape = [out.len()];
+        shaped(py, out, &shape)
+    }
+
+    fn read<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+        let ([x, y], mut shape) = broadcast(["x", "y"], [x, y])?;
+        let width = self.inner.len();
+        let out = py.detach(|| {
+            let places: Vec<[f64; 2]> = x.iter().zip(&y).map(|(&x, &y)| [x, y]).collect();
+            let mut out = vec![0.0; width * places.len()];
+            self.inner.read(&places, &mut out);
+            out
+        });
+        shape.push(width);
+        shaped(py, out, &shape)
+    }
+
+    fn __len__(&self) -> usize {
+        self.inner.len()
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let t = slf.get();
+        let py = slf.py();
+        let arguments =
+            (t.source.clone_ref(py), t.reading.as_str(), t.main_field, t.down_m, t.height_m, t.interpolation.as_str());
+        Ok((slf.get_type().getattr("_restore")?, arguments.into_pyobject(py)?))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (source, reading, main_field, down_m, height_m, interpolation))]
+    fn _restore(
+        source: &Bound<'_, PyAny>,
+        reading: &str,
+        main_field: Option<[f64; 3]>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+        interpolation: &str,
+    ) -> PyRes<Self> {
+        Self::make(source, reading, main_field, down_m, height_m, interpolation)
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyRes<String> {
+        let source = self.source.bind(py).get_type().name()?.to_string();
+        Ok(format!("FieldSensor({source}, {} numbers)", self.inner.len()))
+    }
+}
+
+/// Where the navigator is after a step.
+#[pyclass(frozen, name = "NavigatorStep", module = "geomag")]
+pub struct PyNavigatorStep {
+    inner: NavigatorStep,
+}
+
+#[pymethods]
+impl PyNavigatorStep {
+    #[getter]
+    fn x(&self) -> f64 {
+        self.inner.x
+    }
+
+    #[getter]
+    fn y(&self) -> f64 {
+        self.inner.y
+    }
+
+    #[getter]
+    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.inner.covariance_m2.as_flattened().to_vec(), &[2, 2])
+    }
+
+    /// `updated`, `predicted` (no reading), `rejected` (by the gate) or `off_field`.
+    #[getter]
+    fn outcome(&self) -> &'static str {
+        self.inner.outcome.as_str()
+    }
+
+    #[getter]
+    fn nis(&self) -> Option<f64> {
+        self.inner.nis
+    }
+
+    #[getter]
+    fn dof(&self) -> usize {
+        self.inner.dof
+    }
+
+    #[getter]
+    fn diverged(&self) -> bool {
+        self.inner.diverged
+    }
+
+    fn __repr__(&self) -> String {
+        let s = &self.inner;
+        format!(
+            "NavigatorStep({}, x {:.6}, y {:.6}, sigma {:.2} m east, {:.2} m north, NIS {}{})",
+            s.outcome.as_str(),
+            s.x,
+            s.y,
+            s.covariance_m2[0][0].sqrt(),
+            s.covariance_m2[1][1].sqrt(),
+            s.nis.map_or_else(|| "none".to_owned(), |n| format!("{n:.2}")),
+            if s.diverged { ", diverged" } else { "" }
+        )
+    }
+}
+
+/// Navigates on a field without an INS: speed, course and a field sensor.
+///
+/// Parameters
+/// ----------
+/// model : RectangularHarmonicModel, GridMap, HarmonicMap or FieldSensor
+///     The field, or what is read of it.
+/// start : (float, float)
+///     Start (x, y): metres east and north, or degrees on geographic fields.
+/// covariance_m2 : float, (2,) or (2, 2)
+///     Covariance of the start, square metres, east-north.
+/// reading_sigma : float or (3,)
+///     Standard deviation of a reading, field unit.
+/// position_noise_m2_s : float
+///     Process noise of each coordinate, square metres a second.
+/// speed_sigma_m_s, heading_sigma_deg, bias_sigma : float
+///     Standard deviations of constant errors of speed, course and sensor; a state is added for each that is not zero.
+/// speed_walk, heading_walk_deg, bias_walk : float
+///     Their growth in the square root of a second.
+/// gate : float or None
+///     Probability within which a reading must lie to be used.
+/// field_sigma : bool
+///     Whether the field's own standard deviation is added to that of the reading.
+/// method : {'unscented', 'extended'}
+///     Sigma points, or the analytic gradient.
+/// alpha, beta, kappa : float
+///     Sigma points.
+/// reading, main_field, down_m, height_m, interpolation
+///     As in `FieldSensor`.
+///
+/// For a slow vehicle in a field steep enough for its sensor; `bound` says beforehand what can be reached. Not for a start
+/// that is uncertain by more than a fraction of the field's wavelength: take a matcher first.
+///
+/// Source: Zhao, Huang, Wang, Liu 2012, doi 10.3969/j.issn.1006-1576.2012.12.010.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 1000.0, 20.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
+/// >>> nav = geomag.FieldNavigator(grid, start=(310.0, 495.0), covariance_m2=100.0, reading_sigma=1.0)
+/// >>> for k in range(1, 60):
+/// ...     step = nav.step(1.0, 5.0, 90.0, grid.sample(300.0 + 5 * k, 500.0, method="bicubic"))
+/// >>> bool(np.hypot(step.x - 595.0, step.y - 500.0) < 1.0)
+/// True
+#[pyclass(frozen, name = "FieldNavigator", module = "geomag")]
+pub struct PyFieldNavigator {
+    inner: Mutex<FieldNavigator>,
+    sensor: Py<PyFieldSensor>,
+}
+
+impl PyFieldNavigator {
+    fn lock(&self) -> MutexGuard<'_, FieldNavigator> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn planar(what: &str, object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
+    if let Ok((v, 2, 2)) = matrix(what, object) {
+        return Ok([[v[0], v[1]], [v[2], v[3]]]);
+    }
+    let [east, north] = pair(what, object)?;
+    Ok([[east, 0.0], [0.0, north]])
+}
+
+#[pymethods]
+impl PyFieldNavigator {
+    #[new]
+    #[pyo3(signature = (model, *, start, covariance_m2, reading_sigma, position_noise_m2_s = 0.01,
+                        speed_sigma_m_s = 0.0, speed_walk = 0.0, heading_sigma_deg = 0.0, heading_walk_deg = 0.0,
+                        bias_sigma = 0.0, bias_walk = 0.0, gate = Some(0.9999), field_sigma = true,
+                        method = "unscented", alpha = 1.0, beta = 2.0, kappa = 0.0, reading = "vector",
+                        main_field = None, down_m = None, height_m = None, interpolation = "bicubic"))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn new(
+        py: Python<'_>,
+        model: &Bound<'_, PyAny>,
+        start: &Bound<'_, PyAny>,
+        covariance_m2: &Bound<'_, PyAny>,
+        reading_sigma: &Bound<'_, PyAny>,
+        position_noise_m2_s: f64,
+        speed_sigma_m_s: f64,
+        speed_walk: f64,
+        heading_sigma_deg: f64,
+        heading_walk_deg: f64,
+        bias_sigma: f64,
+        bias_walk: f64,
+        gate: Option<f64>,
+        field_sigma: bool,
+        method: &str,
+        alpha: f64,
+        beta: f64,
+        kappa: f64,
+        reading: &str,
+        main_field: Option<&Bound<'_, PyAny>>,
+        down_m: Option<f64>,
+        height_m: Option<f64>,
+        interpolation: &str,
+    ) -> PyRes<Self> {
+        let sensor = if let Ok(sensor) = model.cast::<PyFieldSensor>() {
+            sensor.clone().unbind()
+        } else {
+            let main_field = main_vector(main_field)?;
+            Py::new(py, PyFieldSensor::make(model, reading, main_field, down_m, height_m, interpolation)?)?
+        };
+        let method = match method {
+            "unscented" => Method::Unscented,
+            "extended" => Method::Extended,
+            other => return Err(invalid("method", "'unscented' or 'extended'", format!("'{other}'"))),
+        };
+        let options = NavigatorOptions {
+            start: pair("start", start)?,
+            covariance_m2: planar("covariance_m2", covariance_m2)?,
+            position_noise_m2_s,
+            speed_sigma_m_s,
+            speed_walk,
+            heading_sigma_deg,
+            heading_walk_deg,
+            bias_sigma,
+            bias_walk,
+            reading_sigma: vector("reading_sigma", reading_sigma)?,
+            field_sigma,
+            gate,
+            method,
+            scaling: Scaling { alpha, beta, kappa },
+        };
+        let inner = FieldNavigator::new(sensor.get().inner.clone(), options)?;
+        Ok(Self { inner: Mutex::new(inner), sensor })
+    }
+
+    #[pyo3(signature = (dt_s, speed_m_s, course_deg, reading = None))]
+    fn step(
+        &self,
+        dt_s: f64,
+        speed_m_s: f64,
+        course_deg: f64,
+        reading: Option<&Bound<'_, PyAny>>,
+    ) -> PyRes<PyNavigatorStep> {
+        let reading = reading.map(numbers).transpose()?;
+        let inner = self.lock().step(dt_s, speed_m_s, course_deg, reading.as_deref())?;
+        Ok(PyNavigatorStep { inner })
+    }
+
+    #[pyo3(signature = (path, dt_s, speed_m_s, course_deg))]
+    fn bound<'py>(
+        &self,
+        py: Python<'py>,
+        path: &Bound<'py, PyAny>,
+        dt_s: f64,
+        speed_m_s: f64,
+        course_deg: f64,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let (values, rows, columns) = matrix("path", path)?;
+        if columns != 2 {
+            return Err(Error::shape("path", "(n, 2): x, y", format!("({rows}, {columns})")).into());
+        }
+        let navigator = self.lock().clone();
+        let bounds = py.detach(|| navigator.bound(values.as_chunks::<2>().0, dt_s, speed_m_s, course_deg))?;
+        shaped(py, bounds.as_flattened().as_flattened().to_vec(), &[rows, 2, 2])
+    }
+
+    /// Estimated place (x, y), map coordinates.
+    #[getter]
+    fn position(&self) -> (f64, f64) {
+        self.lock().position().into()
+    }
+
+    #[getter]
+    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.lock().covariance_m2().as_flattened().to_vec(), &[2, 2])
+    }
+
+    #[getter]
+    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let mean = self.lock().estimate().mean().to_vec();
+        let shape = [mean.len()];
+        shaped(py, mean, &shape)
+    }
+
+    #[getter(P)]
+    fn state_covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        let p = self.lock().estimate().covariance();
+        shaped(py, p.as_slice().to_vec(), &[p.nrows(), p.ncols()])
+    }
+
+    /// (value, standard deviation) of the speed's error, m/s; None where it is not estimated.
+    #[getter]
+    fn speed_error_m_s(&self) -> Option<(f64, f64)> {
+        self.lock().speed_error_m_s()
+    }
+
+    /// (value, standard deviation) of the course's error, degrees; None where it is not estimated.
+    #[getter]
+    fn heading_error_deg(&self) -> Option<(f64, f64)> {
+        self.lock().heading_error_deg()
+    }
+
+    /// [(value, standard deviation), ...] of the sensor's constant error; empty where it is not estimated.
+    #[getter]
+    fn bias(&self) -> Vec<(f64, f64)> {
+        self.lock().bias()
+    }
+
+    #[getter]
+    fn diverged(&self) -> bool {
+        self.lock().diverged()
+    }
+
+    #[getter]
+    fn nis(&self) -> Option<f64> {
+        self.lock().innovation().map(|i| i.nis)
+    }
+
+    #[getter]
+    fn time_s(&self) -> f64 {
+        self.lock().time_s()
+    }
+
+    #[getter]
+    fn n_steps(&self) -> u64 {
+        self.lock().steps()
+    }
+
+    /// How often a pivot had to be raised to keep the covariance positive definite.
+    #[getter]
+    fn regularisations(&self) -> u64 {
+        self.lock().estimate().regularisations()
+    }
+
+    #[getter]
+    fn sensor(&self, py: Python<'_>) -> Py<PyFieldSensor> {
+        self.sensor.clone_ref(py)
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let py = slf.py();
+        let bytes = PyBytes::new(py, &slf.get().lock().save()?);
+        Ok((slf.get_type().getattr("_restore")?, (slf.get().sensor.clone_ref(py), bytes).into_pyobject(py)?))
+    }
+
+    #[staticmethod]
+    fn _restore(sensor: Py<PyFieldSensor>, bytes: &[u8]) -> PyRes<Self> {
+        let inner = FieldNavigator::restore(sensor.get().inner.clone(), bytes)?;
+        Ok(Self { inner: Mutex::new(inner), sensor })
+    }
+
+    fn __repr__(&self) -> String {
+        let navigator = self.lock();
+        let [x, y] = navigator.position();
+        let [[east, _], [_, north]] = navigator.covariance_m2();
+        format!(
+            "FieldNavigator({} steps, x {x:.6}, y {y:.6}, sigma {:.2} m east, {:.2} m north{})",
+            navigator.steps(),
+            east.sqrt(),
+            north.sqrt(),
+            if navigator.diverged() { ", diverged" } else { "" }
+        )
+    }
+}
+
+/// A reading: a number, a sequence or an array, by the shortest way.
+fn numbers(object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
+    if let Ok(number) = object.extract::<f64>() {
+        return Ok(vec![number]);
+    }
+    if let Ok(array) = object.cast_exact::<PyArrayDyn<f64>>()
+        && let Ok(read) = array.try_readonly()
+        && let Ok(values) = read.as_slice()
+    {
+        return Ok(values.to_vec());
+    }
+    vector("reading", object)
+}

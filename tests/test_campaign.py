@@ -1,0 +1,263 @@
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+
+import geomag
+from geomag import campaign, synthetic
+from geomag._statistics import binomial_interval
+
+METHOD = campaign.iema(sigma=1.0, half_width=2000.0)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    grid = synthetic.Crust().draw((0, 0, 60_000, 50_000), seed=2).grid(500.0, units="nT")
+    return campaign.Campaign(
+        grid,
+        tracks=campaign.RandomTracks(samples=25, spacing_m=(500.0, 1500.0), turn_deg=30.0),
+        ins=synthetic.InsSpread(synthetic.Uniform((2000.0, 2000.0)), heading_sigma_deg=0.2),
+        sensor=synthetic.Sensor(sigma=1.0),
+        seed=11,
+    )
+
+
+@pytest.fixture(scope="module")
+def table(plan):
+    return plan.run(METHOD, 400)
+
+
+def test_rows_are_the_same_for_any_subset_order_and_threads(plan, table):
+    assert plan.run(METHOD, 400, threads=1).equals(table)
+    assert plan.run(METHOD, 400, threads=2).equals(table)
+    assert plan.run(METHOD, list(range(399, -1, -1)), chunk=7).equals(table)
+    some = plan.run(METHOD, [13, 377])
+    assert np.array_equal(some["error_m"], table["error_m"][[13, 377]], equal_nan=True)
+    other_seed = campaign.Campaign(plan.grid, plan.tracks, plan.ins, plan.sensor, seed=12)
+    assert not other_seed.run(METHOD, 400).equals(table)
+
+
+def test_a_row_is_what_the_matcher_says_of_that_flight(plan, table):
+    for trial in (0, 5, 200):
+        flight = plan.flight(trial)
+        fix = geomag.Iema(plan.grid, sigma=1.0, half_width=2000.0).run(flight.track)
+        assert table["status"][trial] == fix.status
+        assert table["n_samples"][trial] == fix.n_samples
+        at = fix.n_samples - 1
+        if np.isfinite(fix.x):
+            assert table["error_m"][trial] == pytest.approx(
+                np.hypot(fix.x - flight.path.x[at], fix.y - flight.path.y[at])
+            )
+
+
+def test_python_callables_give_the_same_rows_as_rust(plan):
+    def by_hand(grid, track):
+        return geomag.match_grid(grid, track, "msd", half_width=2500.0)
+
+    tables = plan.compare({"rust": campaign.grid_search("msd", half_width=2500.0), "python": by_hand}, 30)
+    for column in tables["rust"]:
+        ours, theirs = tables["rust"][column], tables["python"][column]
+        if column == "status":
+            assert ours.tolist() == theirs.tolist()
+        else:
+            np.testing.assert_allclose(ours, theirs, atol=1e-9, rtol=1e-12, err_msg=column)
+
+
+def test_compare_puts_every_method_on_the_same_flights(plan, table):
+    tables = plan.compare({"iema": METHOD, "msd": campaign.grid_search("msd", half_width=2500.0)}, 400)
+    assert tables["iema"].equals(table)
+    assert np.array_equal(tables["msd"]["trial"], table["trial"])
+    full = table["n_samples"] == 25
+    assert full.any()
+    for column in ("true_x", "ins_error_east_m"):
+        assert np.array_equal(tables["msd"][column][full], table[column][full])
+
+
+def test_summary_is_right(table):
+    summary = table.summary(1000.0)
+    ok = table["status"] == "fixed"
+    errors = table["error_m"][ok]
+    assert summary.fixed == ok.sum()
+    assert summary.wrong == (errors > 1000.0).sum()
+    assert summary.median_m == np.median(errors)
+    assert summary.drms_m == pytest.approx(np.sqrt((errors**2).mean()))
+    assert summary.wrong_rate_interval == binomial_interval(summary.wrong, summary.fixed)
+    assert sum(summary.statuses.values()) == len(table)
+    assert "fixed" in str(summary)
+    with pytest.raises(geomag.InvalidInputError, match="tolerance_m"):
+        table.summary(0.0)
+
+
+@pytest.mark.parametrize(("k", "n"), [(0, 1), (0, 500), (3, 155), (50, 50), (1, 2), (400, 100_000), (99_000, 100_000)])
+def test_binomial_interval_equals_the_beta_quantiles(k, n):
+    beta = pytest.importorskip("scipy.stats").beta
+    low, high = binomial_interval(k, n)
+    assert low == pytest.approx(0.0 if k == 0 else beta.ppf(0.025, k, n - k + 1), rel=1e-7)
+    assert high == pytest.approx(1.0 if k == n else beta.ppf(0.975, k + 1, n - k), rel=1e-7)
+
+
+def test_normalised_error_is_that_of_the_covariance(plan):
+    table = plan.run(campaign.grid_search("msd", half_width=2500.0, sigma=2.0), 200)
+    ok = table["status"] == "fixed"
+    values = []
+    for i in np.flatnonzero(ok):
+        c = np.array([[table["covariance_ee_m2"][i], table["covariance_en_m2"][i]],
+                      [table["covariance_en_m2"][i], table["covariance_nn_m2"][i]]])  # fmt: skip
+        e = np.array([table["error_east_m"][i], table["error_north_m"][i]])
+        values.append(e @ np.linalg.solve(c, e))
+    assert table.summary(500.0).nees == pytest.approx(np.mean(values))
+
+
+def test_an_interrupted_run_goes_on_from_the_folder(plan, table, tmp_path):
+    seen = []
+
+    def stop(done, total):
+        seen.append(done)
+        if done >= 150:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan.run(METHOD, 400, folder=tmp_path, chunk=50, progress=stop)
+    held = sorted(p.name for p in tmp_path.glob("*.npz"))
+    assert 2 <= len(held) < 8
+    stamps = {p: p.stat().st_mtime_ns for p in tmp_path.glob("*.npz")}
+    assert plan.run(METHOD, 400, folder=tmp_path, chunk=50).equals(table)
+    assert all(p.stat().st_mtime_ns == stamp for p, stamp in stamps.items())
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_folder_of_another_campaign_is_refused(plan, tmp_path):
+    plan.run(METHOD, 10, folder=tmp_path)
+    with pytest.raises(geomag.StateError, match="differs in methods"):
+        plan.run(campaign.iema(sigma=2.0, half_width=2000.0), 10, folder=tmp_path)
+    next(iter(tmp_path.glob("*.npz"))).write_bytes(b"PK spoilt")
+    with pytest.raises(geomag.GeomagError, match="npz"):
+        plan.run(METHOD, 10, folder=tmp_path)
+
+
+def test_progress_is_told(plan):
+    seen = []
+    plan.run(METHOD, 400, progress=lambda done, total: seen.append((done, total)))
+    assert seen[-1] == (400, 400)
+    assert [d for d, _ in seen] == sorted(d for d, _ in seen)
+
+
+def test_threads_as_an_executor(plan, table):
+    with ThreadPoolExecutor(2) as pool:
+        assert plan.run(METHOD, 400, executor=pool, chunk=30).equals(table)
+
+
+def test_processes_as_an_executor(plan, table):
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        assert plan.run(METHOD, 400, executor=pool, chunk=30).equals(table)
+
+
+class DieOnce:
+    """A matcher whose first worker process dies in the middle of its work."""
+
+    def __init__(self, flag):
+        self.flag = str(flag)
+
+    def __call__(self, grid, track):
+        try:
+            os.close(os.open(self.flag, os.O_CREAT | os.O_EXCL))
+            os.kill(os.getpid(), signal.SIGKILL)
+        except FileExistsError:
+            pass
+        return geomag.match_grid(grid, track, "msd", half_width=2500.0)
+
+
+def test_a_broken_pool_says_so_and_a_new_one_goes_on(plan, tmp_path):
+    method = DieOnce(tmp_path / "flag")
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        pytest.raises(geomag.GeomagError, match="folder"),
+    ):
+        plan.run(method, 20, executor=pool, chunk=5, folder=tmp_path / "out")
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        table = plan.run(method, 20, executor=pool, chunk=5, folder=tmp_path / "out")
+    assert table.equals(plan.run(DieOnce(tmp_path / "flag"), 20))
+
+
+def test_dask_cluster_with_a_killed_worker(plan):
+    distributed = pytest.importorskip("distributed")
+    expected = plan.run(METHOD, 6000, threads=2)
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        pids = list(client.run(os.getpid).values())
+        assert len(set(pids)) == 2
+        assert os.getpid() not in pids
+        seen = []
+
+        def watch(done, total):
+            seen.append(done)
+            if len(seen) == 3:  # in mid-run: some chunks are in, most are not
+                os.kill(pids[0], signal.SIGKILL)
+
+        table = plan.run(METHOD, 6000, executor=client, chunk=100, progress=watch)
+        assert len(seen) >= 60
+        assert seen[2] < 6000
+        deadline = time.monotonic() + 30
+        while set(client.run(os.getpid).values()) == set(pids):
+            assert time.monotonic() < deadline, "the killed worker was never replaced"
+            time.sleep(0.1)
+    assert np.array_equal(table["trial"], np.arange(6000))  # nothing lost, nothing twice
+    assert table.equals(expected)
+
+
+def test_dask_executor_interface(plan, table):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        assert plan.run(METHOD, 400, executor=client.get_executor(), chunk=100).equals(table)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda p: p.run(METHOD, 0), "trials"),
+        (lambda p: p.run(METHOD, [1, 1]), "distinct"),
+        (lambda p: p.run(METHOD, 5, chunk=0), "chunk"),
+        (lambda p: p.run(METHOD, 5, executor=3), "executor"),
+        (lambda p: p.compare({}, 5), "methods"),
+        (lambda p: p.run(lambda grid, track: 3, 1), "returns a Fix"),
+        (lambda p: p.run(campaign.Method("iema", {"sigmas": 1}), 1), "sigmas"),
+        (lambda p: p.run(campaign.Method("magic", {}), 1), "magic"),
+        (lambda p: campaign.grid_search("best", half_width=1), "criterion"),
+        (lambda p: campaign.iema(sigma=1, half_width=(1, 2, 3)), "pair"),
+        (lambda p: p.run(campaign.iema(sigma=-1, half_width=100.0), 1), "sigma"),
+        (lambda p: campaign.Campaign(p.grid, campaign.RandomTracks(samples=10_000)).run(METHOD, 1), "fit on the map"),
+        (lambda p: campaign.Campaign(p.grid, seed=-1).run(METHOD, 1), "seed"),
+    ],
+)
+def test_bad_input_is_refused_by_name(plan, call, words):
+    with pytest.raises(geomag.InvalidInputError, match=words):
+        call(plan)
+
+
+def test_the_interpreter_is_free_meanwhile(plan):
+    ticks = []
+    stop = threading.Event()
+
+    def tick():
+        while not stop.is_set():
+            ticks.append(time.perf_counter())
+            time.sleep(0.005)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    plan.run(METHOD, 20_000)
+    stop.set()
+    thread.join()
+    assert len(ticks) > 5

@@ -1,0 +1,156 @@
+"""The command line: answers, exit status, one clear line on bad input."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from fields import rough
+
+import geomag
+
+for _module in ("typer", "pandas", "xarray"):
+    pytest.importorskip(_module, reason="needs the extras 'cli' and 'io'")
+
+from geomag.cli import run  # noqa: E402
+
+
+@pytest.fixture
+def files(tmp_path):
+    rng = np.random.default_rng(3)
+    x, y = 16 + 0.002 * np.arange(80), 47 + 0.0015 * np.arange(90)
+    grid = geomag.GridMap(rough(rng, 90, 80, smooth=2.5), x, y, geographic=True, name="anomaly", units="nT")
+    grid.to_xarray().to_netcdf(tmp_path / "map.nc")
+    k = np.arange(30)
+    lon, lat = 16.05 + 0.002 * k, 47.04 + 0.0013 * k
+    readings = grid.sample(lon, lat) + rng.normal(0, 1, 30) + 30.0
+    rows = "\n".join(f"{a},{b},{v}" for a, b, v in zip(lon - 0.0063, lat + 0.0041, readings, strict=True))
+    (tmp_path / "log.csv").write_text("longitude,latitude,anomaly\n" + rows)
+    return tmp_path
+
+
+def call(capsys, *arguments):
+    status = run([str(a) for a in arguments])
+    out = capsys.readouterr()
+    return status, out.out, out.err
+
+
+@pytest.mark.parametrize("method", ["msd", "mad", "ncc"])
+def test_match_prints_one_json_object(files, capsys, method):
+    status, out, _ = call(
+        capsys, "match", files / "map.nc", files / "log.csv", "--method", method, "--half-width-m", 1000, "--json"
+    )
+    fix = json.loads(out)
+    assert status == 0
+    assert fix["status"] == "fixed"
+    assert fix["ok"] is True
+    assert fix["offset"] == pytest.approx([0.0063, -0.0041], abs=3e-4)
+    assert len(fix["track"]) == 30
+
+
+@pytest.mark.parametrize("method", ["iema", "prod", "hausdorff"])
+def test_other_methods_answer_or_say_no(files, capsys, method):
+    status, out, _ = call(
+        capsys, "match", files / "map.nc", files / "log.csv", "--method", method, "--half-width-m", 1000, "--json"
+    )
+    fix = json.loads(out)
+    assert status == (0 if fix["ok"] else 3)
+    assert fix["ok"] == (fix["status"] == "fixed")
+
+
+def test_match_in_words_with_a_picture(files, capsys):
+    pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
+    picture = files / "match.png"
+    status, out, _ = call(
+        capsys, "match", files / "map.nc", files / "log.csv", "--half-width-m", 1000, "--plot", picture
+    )
+    assert status == 0
+    assert "correction" in out
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["match", "none.nc", "log.csv"], "none.nc"),
+        (["match", "map.nc", "none.csv"], "none.csv"),
+        (["match", "map.nc", "log.csv", "--value", "nothing"], "nothing"),
+        (["match", "map.nc", "log.csv", "--variable", "nothing"], "nothing"),
+        (["match", "map.nc", "log.csv", "--method", "guess"], "guess"),
+        (["match", "map.nc", "log.csv", "--half-width-m", "-5"], "half-width"),
+        (["match", "map.nc", "log.csv", "--method", "iema", "--sigma", "0"], "sigma"),
+        (["match", "map.nc"], "track"),
+        (["info", "log.csv"], "grid"),
+        (["demo", "--lines", "log.csv"], "--map"),
+        (["reproduce", "E99"], "E99"),
+        (["sing"], "sing"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_1(files, capsys, monkeypatch, arguments, words):
+    monkeypatch.chdir(files)
+    status, out, err = call(capsys, *arguments)
+    assert status == 1
+    assert out == ""
+    assert len(err.strip().splitlines()) == 1
+    assert words in err
+
+
+def test_a_map_of_nothing_useful_is_status_3(files, capsys):
+    flat = geomag.GridMap(
+        np.full((90, 80), 5.0), 16 + 0.002 * np.arange(80), 47 + 0.0015 * np.arange(90), geographic=True
+    )
+    flat.to_xarray().rename("anomaly").to_netcdf(files / "flat.nc")
+    status, out, _ = call(capsys, "match", files / "flat.nc", files / "log.csv", "--half-width-m", 500, "--json")
+    assert status == 3
+    assert json.loads(out)["ok"] is False
+
+
+def test_info(files, capsys):
+    status, out, _ = call(capsys, "info", files / "map.nc", "--json")
+    facts = json.loads(out)
+    assert status == 0
+    assert facts["shape"] == [90, 80]
+    assert facts["geographic"] is True
+    status, out, _ = call(capsys, "info", files / "map.nc")
+    assert "gradient" in out
+
+
+def test_demo_fixes_and_draws(tmp_path, capsys):
+    for module in ("matplotlib", "ppigrf"):
+        pytest.importorskip(module, reason="needs the extras 'plot' and 'field'")
+    status, out, _ = call(capsys, "demo", "--seed", 5, "--out", tmp_path / "demo.png")
+    assert status == 0
+    assert (tmp_path / "demo.png").read_bytes()[:4] == b"\x89PNG"
+    errors = [float(line.split()[1]) for line in out.splitlines() if line.startswith("error")]
+    assert errors[-1] < 250
+
+
+def test_demo_on_a_real_line(tmp_path, capsys, data_file):
+    pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
+    folder = data_file("osborne-aeromag")
+    lines, grid = folder / "osborne_lines.csv.gz", folder / "osborne_grid_from_shared_lines.nc"
+    status, out, _ = call(capsys, "demo", "--lines", lines, "--map", grid, "--out", tmp_path / "demo.png")
+    assert status in (0, 3)
+    assert "line" in out
+
+
+def test_reproduce_quickly(tmp_path, capsys, data):
+    pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
+    status, _out, _ = call(capsys, "reproduce", "E1", "E2", "E3", "--data", data, "--out", tmp_path, "--effort", 0.04)
+    assert status == 0
+    assert "published" in (tmp_path / "report.md").read_text()
+    tables = {r["key"]: r for r in json.loads((tmp_path / "report.json").read_text())}
+    assert set(tables) == {"E1", "E2", "E3"}
+    # On the lattice the paper's rule is nearly always right; off it, it is not.
+    rows = {row[0]: row for row in tables["E2"]["tables"][1]["rows"]}
+    on, off = rows["random tracks, INS error on the lattice"], rows["random tracks, INS error anywhere"]
+    assert on[3] <= 0.1 * on[1]
+    assert off[3] > 0.2 * off[1]
+
+
+def test_module_and_version():
+    out = subprocess.run([sys.executable, "-m", "geomag", "--version"], capture_output=True, text=True, check=True)
+    assert geomag.__version__ in out.stdout

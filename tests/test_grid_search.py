@@ -1,0 +1,317 @@
+"""Grid search against a naive oracle for each measure and option, and its contracts."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from fields import rough
+from oracles import lattice, score, shifted
+
+import geomag
+
+CRITERIA = ["msd", "mad", "prod", "ncc", "hausdorff"]
+
+
+def case(seed, *, n=12, holes=0.0, dtype="float64"):
+    rng = np.random.default_rng(seed)
+    ny, nx = 30, 34
+    values = (500 + rough(rng, ny, nx)).astype(dtype)
+    if holes:
+        values[rng.random((ny, nx)) < holes] = np.nan
+    x, y = 100.0 + 50 * np.arange(nx), -300.0 + 40 * np.arange(ny)
+    truth = np.column_stack([rng.uniform(500, 700) + 55 * np.arange(n), rng.uniform(100, 200) + 31 * np.arange(n)])
+    offset = rng.uniform(-150, 150, 2)
+    grid = geomag.GridMap(values, x, y)
+    readings = np.nan_to_num(grid.sample(truth[:, 0], truth[:, 1]), nan=500.0) + rng.normal(0, 3, n)
+    indicated = truth - offset
+    return rng, grid, values, x, y, geomag.Track(indicated[:, 0], indicated[:, 1], readings), offset
+
+
+def oracle_surface(values, x, y, track, ox, oy, criterion, *, min_overlap=0.8, w=None, **options):
+    m = shifted(values, x, y, track.x, track.y, ox, oy)
+    s = track.distance_m()
+    out = np.full(m.shape[:2], np.nan)
+    for r, c in itertools.product(range(len(oy)), range(len(ox))):
+        known = ~np.isnan(m[r, c])
+        if known.sum() < max(np.ceil(min_overlap * len(known) - 1e-9), 1):
+            continue
+        own_w = None if w is None else w[known]
+        out[r, c] = score(
+            criterion, track.values[known], m[r, c, known], np.nanmean(values), w=own_w, s=s[known], **options
+        )
+    return out
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("step", [None, (25.0, 10.0), (37.0, 40.0)], ids=["spacing", "fractions", "odd"])
+@pytest.mark.parametrize("seed", range(4))
+def test_surface_equals_the_oracle(criterion, step, seed):
+    _, grid, values, x, y, track, _ = case(seed, holes=0.01 if seed == 3 else 0.0)
+    half = (310.0, 250.0)
+    ox, oy = lattice(half[0], step[0] if step else 50.0), lattice(half[1], step[1] if step else 40.0)
+    options = {"length_scale_m": 60.0, "value_scale": 20.0} if criterion == "hausdorff" else {}
+    expected = oracle_surface(values, x, y, track, ox, oy, criterion, scales=(60.0, 20.0))
+    fix = geomag.match_grid(grid, track, criterion, half_width=half, step=step, surface=True, **options)
+    np.testing.assert_allclose(fix.surface, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(fix.surface_axes[0], ox, atol=1e-9)
+    np.testing.assert_allclose(fix.surface_axes[1], oy, atol=1e-9)
+    best = np.nanmax(expected) if criterion in ("prod", "ncc") else np.nanmin(expected)
+    assert fix.score == pytest.approx(best, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "options", "oracle"),
+    [
+        ("msd", {"remove_mean": True}, {"remove_mean": True}),
+        ("mad", {"remove_mean": True}, {"remove_mean": True}),
+        ("hausdorff", {"fraction": 0.7}, {"fraction": 0.7}),
+        (
+            "msd",
+            {"robust": "huber", "robust_scale": 8.0},
+            {"loss": lambda r: np.where(np.abs(r) <= 8, r**2, 8 * (2 * np.abs(r) - 8))},
+        ),
+        (
+            "msd",
+            {"robust": "student_t", "robust_scale": 5.0, "nu": 3.0, "remove_mean": True},
+            {"loss": lambda r: 4 * np.log1p(r**2 / 75), "remove_mean": True},
+        ),
+    ],
+    ids=["msd-mean", "mad-median", "partial-hausdorff", "huber", "student"],
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_options_equal_the_oracle(criterion, options, oracle, seed):
+    _, grid, values, x, y, track, _ = case(20 + seed, holes=0.01 if seed == 2 else 0.0)
+    half = (200.0, 160.0)
+    scales = {"length_scale_m": 60.0, "value_scale": 20.0} if criterion == "hausdorff" else {}
+    expected = oracle_surface(
+        values, x, y, track, lattice(200, 50), lattice(160, 40), criterion, scales=(60.0, 20.0), **oracle
+    )
+    fix = geomag.match_grid(grid, track, criterion, half_width=half, surface=True, **options, **scales)
+    np.testing.assert_allclose(fix.surface, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("criterion", ["msd", "mad", "prod", "ncc"])
+@pytest.mark.parametrize("remove_mean", [False, True])
+def test_weights_equal_the_oracle(criterion, remove_mean):
+    if remove_mean and criterion not in ("msd", "mad"):
+        pytest.skip("these measures take no constant out")
+    rng, grid, values, x, y, track, _ = case(31, holes=0.005)
+    w = rng.uniform(0, 2, len(track))
+    expected = oracle_surface(
+        values, x, y, track, lattice(200, 50), lattice(160, 40), criterion, w=w, remove_mean=remove_mean
+    )
+    fix = geomag.match_grid(
+        grid, track, criterion, half_width=(200.0, 160.0), surface=True, weights=w, remove_mean=remove_mean
+    )
+    np.testing.assert_allclose(fix.surface, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_track_near_the_border_scores_what_it_has(criterion):
+    """Candidates that leave the map are scored on at least min_overlap of the samples, or not at all."""
+    _, grid, values, x, y, track, _ = case(40)
+    west = geomag.Track(track.x - 620.0, track.y, track.values)
+    ox, oy = lattice(300, 50), lattice(160, 40)
+    scales = {"length_scale_m": 60.0, "value_scale": 20.0} if criterion == "hausdorff" else {}
+    expected = oracle_surface(values, x, y, west, ox, oy, criterion, scales=(60.0, 20.0), min_overlap=0.6)
+    assert np.isnan(expected).any()
+    assert np.isfinite(expected).any()
+    fix = geomag.match_grid(grid, west, criterion, half_width=(300, 160), surface=True, min_overlap=0.6, **scales)
+    np.testing.assert_allclose(fix.surface, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_finds_the_offset_below_the_lattice_step(criterion):
+    errors = []
+    for seed in range(100, 112):
+        _, grid, _, _, _, track, offset = case(seed, n=14)
+        fix = geomag.match_grid(grid, track, criterion, half_width=(400, 400), sigma=3.0)
+        errors.append(np.hypot(*(np.array(fix.offset) - offset)))
+    # Product correlation is drawn to large values wherever they are; the others must be within half a cell.
+    limit = 250.0 if criterion == "prod" else 25.0
+    assert np.median(errors) < limit
+
+
+def test_heading_and_scale_are_found():
+    _rng, grid, _, _, _, _, _ = case(50)
+    n = 16
+    truth = np.column_stack([600 + 60 * np.arange(n), 100 + 35 * np.arange(n)])
+    readings = grid.sample(truth[:, 0], truth[:, 1])
+    # Indicated: turned 6 degrees anticlockwise and 4 % short about the newest point, then displaced.
+    angle, stretch = np.deg2rad(6.0), 1 / 1.04
+    d = truth - truth[-1]
+    back = np.column_stack(
+        [d[:, 0] * np.cos(angle) - d[:, 1] * np.sin(angle), d[:, 0] * np.sin(angle) + d[:, 1] * np.cos(angle)]
+    )
+    indicated = truth[-1] + stretch * back - [70.0, -55.0]
+    track = geomag.Track(indicated[:, 0], indicated[:, 1], readings)
+    fix = geomag.match_grid(
+        grid,
+        track,
+        half_width=(200, 200),
+        step=(12.5, 10.0),
+        heading_deg=np.arange(-10, 11, 2.0),
+        scale=[0.96, 1.0, 1.04],
+    )
+    assert fix.heading_deg == 6.0
+    assert fix.scale == 1.04
+    assert fix.offset == pytest.approx((70.0, -55.0), abs=4.0)
+    np.testing.assert_allclose(fix.track, truth, atol=6.0)
+
+
+def test_same_bits_for_any_number_of_threads():
+    _, grid, _, _, _, track, _ = case(60)
+    surfaces = [
+        geomag.match_grid(grid, track, half_width=(400, 400), step=(12.5, 10), surface=True, threads=t).surface
+        for t in (1, 2, 3, None)
+    ]
+    for s in surfaces[1:]:
+        assert s.tobytes() == surfaces[0].tobytes()
+
+
+@pytest.mark.parametrize("criterion", ["msd", "mad", "ncc", "prod"])
+def test_float32_agrees_with_float64(criterion):
+    _, grid, values, x, y, track, _ = case(61)
+    small = geomag.GridMap(values.astype("float32"), x, y)
+    options = {"half_width": (400, 400), "surface": True}
+    a, b = geomag.match_grid(small, track, criterion, **options), geomag.match_grid(grid, track, criterion, **options)
+    np.testing.assert_allclose(a.surface, b.surface, rtol=2e-4, atol=2e-3)
+    assert a.offset == pytest.approx(b.offset, abs=0.1)
+
+
+def test_descending_axes_and_strided_views_change_nothing():
+    _, grid, values, x, y, track, _ = case(62)
+    plain = geomag.match_grid(grid, track, half_width=300)
+    wide = np.zeros((60, 68))
+    wide[::2, ::2] = values
+    for other in (
+        geomag.GridMap(values[::-1], x, y[::-1]),
+        geomag.GridMap(values[:, ::-1], x[::-1], y),
+        geomag.GridMap(values[::-1, ::-1], x[::-1], y[::-1]),
+        geomag.GridMap(wide[::2, ::2], x, y),
+        geomag.GridMap(np.asfortranarray(values), x, y),
+    ):
+        assert geomag.match_grid(other, track, half_width=300).offset == plain.offset
+
+
+def test_covariance_is_consistent_with_the_errors():
+    """Normalised squared errors of refined fixes over seeds, noise known, against chi-square with two degrees."""
+    nees = []
+    for seed in range(300):
+        rng = np.random.default_rng(1000 + seed)
+        values = rough(rng, 40, 40, smooth=4.0)
+        axis = 50.0 * np.arange(40)
+        grid = geomag.GridMap(values, axis, axis)
+        n = 25
+        truth = np.column_stack([500 + 40 * np.arange(n), 700 + 25 * np.arange(n)])
+        offset = rng.uniform(-60, 60, 2)
+        readings = grid.sample(truth[:, 0], truth[:, 1]) + rng.normal(0, 8.0, n)
+        track = geomag.Track(truth[:, 0] - offset[0], truth[:, 1] - offset[1], readings)
+        fix = geomag.match_grid(grid, track, half_width=200, step=12.5, sigma=8.0)
+        error = np.array(fix.offset_m) - offset
+        nees.append(error @ np.linalg.solve(fix.covariance_m2, error))
+    # Mean of 300 chi-square(2) draws: 2 +- 0.35 at three standard deviations; the map is bilinear, its slope uneven.
+    assert 1.5 < np.mean(nees) < 2.6
+
+
+def test_edge_ambiguous_and_uninformative_are_no_fixes():
+    _, grid, values, x, y, track, offset = case(70)
+    far = geomag.Track(track.x + offset[0] - 130.0, track.y + offset[1], track.values)
+    edge = geomag.match_grid(grid, far, half_width=(100, 100), step=10)
+    assert edge.status == "at_edge"
+    assert not edge.ok
+    flat = geomag.GridMap(np.full_like(values, 7.0), x, y)
+    nothing = geomag.match_grid(flat, geomag.Track(track.x, track.y, np.full(len(track), 7.0)), half_width=200)
+    assert not nothing.ok
+    periodic = geomag.GridMap(100 * np.sin(2 * np.pi * x / 250)[None, :] + 50 * np.cos(y / 90)[:, None], x, y)
+    k = np.arange(15)
+    sample = geomag.Track(500 + 40 * k, 100 + 30 * k, periodic.sample(500 + 40 * k, 100 + 30 * k))
+    two = geomag.match_grid(periodic, sample, half_width=(400, 200))
+    assert two.status == "ambiguous"
+
+
+def test_off_the_map_is_an_error_and_a_hole_is_a_status():
+    _, grid, values, x, y, track, _ = case(71)
+    with pytest.raises(geomag.InvalidInputError, match="units"):
+        geomag.match_grid(grid, geomag.Track(track.x + 1e6, track.y, track.values), half_width=300)
+    hollow = values.copy()
+    hollow[2:-2, 2:-2] = np.nan
+    fix = geomag.match_grid(geomag.GridMap(hollow, x, y), track, half_width=100, surface=True)
+    assert fix.status == "uninformative"
+    assert np.isnan(fix.surface).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"criterion": "cosine"}, "criterion"),
+        ({"half_width": -1}, "half_width"),
+        ({"step": 0}, "step"),
+        ({"heading_deg": []}, "heading_deg"),
+        ({"heading_deg": [np.nan]}, "heading_deg"),
+        ({"scale": [0.0]}, "scale"),
+        ({"weights": [1.0, 2.0]}, "weights"),
+        ({"weights": -np.ones(12)}, "weights"),
+        ({"weights": np.zeros(12)}, "weights"),
+        ({"robust": "huber"}, "robust_scale"),
+        ({"robust": "huber", "robust_scale": -1.0}, "robust threshold"),
+        ({"criterion": "prod", "remove_mean": True}, "remove_mean"),
+        ({"criterion": "mad", "robust": "huber", "robust_scale": 1.0}, "robust"),
+        ({"criterion": "hausdorff", "fraction": 0.0}, "fraction"),
+        ({"min_overlap": 0.0}, "min_overlap"),
+        ({"sigma": 0.0}, "sigma"),
+        ({"method": "nearest"}, "method"),
+        ({"pivot": "oldest"}, "pivot"),
+        ({"threads": 0}, "threads"),
+        ({"progress": 3.5}, "progress"),
+    ],
+)
+def test_bad_options_say_what_is_wrong(options, match):
+    _, grid, _, _, _, track, _ = case(72)
+    with pytest.raises(geomag.InvalidInputError, match=match):
+        geomag.match_grid(grid, track, **{"half_width": 100, **options})
+
+
+def test_one_sample():
+    _, grid, _, _, _, track, _ = case(73)
+    assert not geomag.match_grid(grid, track[:1], half_width=200).ok
+    for options in ({"criterion": "ncc"}, {"remove_mean": True}):
+        with pytest.raises(geomag.TooFewSamplesError, match="needed at least 2 samples, got 1"):
+            geomag.match_grid(grid, track[:1], half_width=200, **options)
+
+
+def test_a_lattice_of_a_billion_is_refused():
+    _, grid, _, _, _, track, _ = case(74)
+    with pytest.raises(geomag.CandidateLimitError, match="candidates") as caught:
+        geomag.match_grid(grid, track, half_width=16_000, step=1.0)
+    assert isinstance(caught.value, ValueError)
+    with pytest.raises(geomag.CandidateLimitError):
+        geomag.match_grid(grid, track, half_width=1e300, step=1e-300)
+
+
+def test_progress_is_called_and_may_stop_the_search():
+    _, grid, _, _, _, track, _ = case(75)
+    seen = []
+    geomag.match_grid(grid, track, half_width=400, step=1.0, progress=lambda done, total: seen.append((done, total)))
+    assert seen[-1][0] == seen[-1][1] > 0
+
+    class StopError(Exception):
+        pass
+
+    def stop(done, total):
+        raise StopError
+
+    with pytest.raises(StopError):
+        geomag.match_grid(grid, track, half_width=3000, step=1.0, progress=stop)
+
+
+def test_bicubic_surface_equals_sampling_on_its_own():
+    _, grid, _, _, _, track, _ = case(76)
+    fix = geomag.match_grid(grid, track, half_width=(100, 80), method="bicubic", surface=True)
+    ox, oy = fix.surface_axes
+    for r, b in enumerate(oy):
+        for c, a in enumerate(ox):
+            m = grid.sample(track.x + a, track.y + b, method="bicubic")
+            assert fix.surface[r, c] == pytest.approx(np.mean((track.values - m) ** 2), rel=1e-9)
