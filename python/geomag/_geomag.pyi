@@ -307,6 +307,7 @@ def bound_reach(
 def bound_block(
     values: ArrayLike, y: ArrayLike, spacing: Sequence[float], geographic: bool, options_json: str
 ) -> list[tuple[Floats, Floats]]: ...
+
 # Contour matching, matching sequences, INS feedback.
 
 _Transform: TypeAlias = Literal["translation", "rigid", "similarity", "affine"]
@@ -450,6 +451,65 @@ def tune_sequence(
 
 @final
 class CorrectedPosition:
+    @property
+    def x(self) -> float: ...
+    @property
+    def y(self) -> float: ...
+    @property
+    def offset_m(self) -> tuple[float, float]: ...
+    @property
+    def covariance_m2(self) -> Floats: ...
+
+@final
+class FeedbackStep:
+    @property
+    def before(self) -> CorrectedPosition: ...
+    @property
+    def after(self) -> CorrectedPosition: ...
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def accepted(self) -> bool: ...
+
+@final
+class InsFeedback:
+    def __new__(
+        cls,
+        *,
+        position_sigma_m: float = 500.0,
+        velocity_sigma_m_s: float = 0.5,
+        heading_sigma_deg: float = 0.1,
+        position_walk_m: float = 0.1,
+        velocity_walk_m_s: float = 0.001,
+        heading_walk_deg: float = 0.0005,
+        velocity_time_constant_s: float = ...,
+        geographic: bool = False,
+        gate_probability: float = 0.999,
+    ) -> InsFeedback: ...
+    def step(
+        self,
+        time_s: float,
+        x: float,
+        y: float,
+        fix: Fix | None = None,
+        *,
+        offset_m: ArrayLike | None = None,
+        covariance_m2: ArrayLike | None = None,
+    ) -> FeedbackStep: ...
+    @property
+    def velocity_error_m_s(self) -> tuple[float, float]: ...
+    @property
+    def heading_error_deg(self) -> float: ...
+    @property
+    def state(self) -> Floats: ...
+    @property
+    def covariance(self) -> Floats: ...
+    @property
+    def accepted(self) -> int: ...
+    @property
+    def refused(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
 # ---- frames, harmonic models, filters, field navigation
 
 Earth: TypeAlias = Literal["wgs84", "sphere"]
@@ -792,59 +852,6 @@ class NavigatorStep:
     @property
     def y(self) -> float: ...
     @property
-    def offset_m(self) -> tuple[float, float]: ...
-    @property
-    def covariance_m2(self) -> Floats: ...
-
-@final
-class FeedbackStep:
-    @property
-    def before(self) -> CorrectedPosition: ...
-    @property
-    def after(self) -> CorrectedPosition: ...
-    @property
-    def nis(self) -> float | None: ...
-    @property
-    def accepted(self) -> bool: ...
-
-@final
-class InsFeedback:
-    def __new__(
-        cls,
-        *,
-        position_sigma_m: float = 500.0,
-        velocity_sigma_m_s: float = 0.5,
-        heading_sigma_deg: float = 0.1,
-        position_walk_m: float = 0.1,
-        velocity_walk_m_s: float = 0.001,
-        heading_walk_deg: float = 0.0005,
-        velocity_time_constant_s: float = ...,
-        geographic: bool = False,
-        gate_probability: float = 0.999,
-    ) -> InsFeedback: ...
-    def step(
-        self,
-        time_s: float,
-        x: float,
-        y: float,
-        fix: Fix | None = None,
-        *,
-        offset_m: ArrayLike | None = None,
-        covariance_m2: ArrayLike | None = None,
-    ) -> FeedbackStep: ...
-    @property
-    def velocity_error_m_s(self) -> tuple[float, float]: ...
-    @property
-    def heading_error_deg(self) -> float: ...
-    @property
-    def state(self) -> Floats: ...
-    @property
-    def covariance(self) -> Floats: ...
-    @property
-    def accepted(self) -> int: ...
-    @property
-    def refused(self) -> int: ...
-    def __reduce__(self) -> tuple[Any, ...]: ...
     def covariance_m2(self) -> Floats: ...
     @property
     def outcome(self) -> Literal["updated", "predicted", "rejected", "off_field"]: ...
