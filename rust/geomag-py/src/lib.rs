@@ -18,6 +18,7 @@ mod fix;
 mod frame;
 mod grid;
 mod grid_search;
+mod gridding;
 mod harmonic;
 mod iema;
 mod information;
@@ -25,6 +26,7 @@ mod ins_feedback;
 mod kalman;
 mod long_call;
 mod navigator;
+mod posterior;
 mod sequence;
 mod synthetic;
 mod track;
@@ -44,6 +46,8 @@ mod _geomag {
     #[pymodule_export]
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
+    use crate::gridding::{py_distance_to_data, py_minimum_curvature};
+    #[pymodule_export]
     use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
@@ -55,6 +59,10 @@ mod _geomag {
     use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
     #[pymodule_export]
     use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
+    #[pymodule_export]
+    use crate::posterior::{
+        PyPosteriorMatcher, PyPosteriorStep, PyPrediction, match_posterior, match_posterior_many, predict_many,
+    };
     #[pymodule_export]
     use crate::sequence::{
         PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
