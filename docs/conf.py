@@ -20,7 +20,7 @@ extensions = [
     "sphinx.ext.viewcode",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "_rust", "reports/_*.md", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_rust", "**.ipynb_checkpoints"]
 suppress_warnings = ["mystnb.unknown_mime_type"]
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]

@@ -83,6 +83,20 @@ def test_contour_matching_in_rust_is_that_of_the_binding(plan):
         plan.run(campaign.contour(radius=3), 1)
 
 
+def test_posterior_matching_in_rust_is_that_of_the_binding(plan):
+    options = {"half_width": (2500.0, 2500.0), "sigma": 2.0, "tolerance_m": 500.0, "heading_sigma_deg": 0.3}
+
+    def by_hand(grid, track):
+        return geomag.match_posterior(grid, track, **options)
+
+    tables = plan.compare({"rust": campaign.posterior(**options), "python": by_hand}, 10)
+    assert tables["rust"]["status"].tolist() == tables["python"]["status"].tolist()
+    for column in ("error_m", "risk", "covariance_ee_m2"):
+        np.testing.assert_allclose(tables["rust"][column], tables["python"][column], rtol=1e-9, err_msg=column)
+    with pytest.raises(geomag.InvalidInputError, match="tolerance"):
+        plan.run(campaign.posterior(half_width=100.0, tolerance=3.0), 1)
+
+
 def test_compare_puts_every_method_on_the_same_flights(plan, table):
     tables = plan.compare({"iema": METHOD, "msd": campaign.grid_search("msd", half_width=2500.0)}, 400)
     assert tables["iema"].equals(table)

@@ -108,3 +108,18 @@ def test_every_page_is_on_the_site():
         assert any(name == e or (e.endswith("*") and name.startswith(e[:-1])) for e in entries), (
             f"{name} is on no toctree"
         )
+
+
+@pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("*.py")), ids=lambda p: p.name)
+def test_every_example_runs(example, tmp_path):
+    text = example.read_text(encoding="utf-8")
+    for library in ("matplotlib", "xarray", "pandas", "verde", "ppigrf", "boule", "pyins"):
+        if re.search(rf"^\s*(import|from) {library}\b", text, re.M):
+            pytest.importorskip(library)
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [sys.executable, str(example)], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
+        env=environment,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.stdout.strip(), "an example says what it found"

@@ -268,3 +268,34 @@ def test_accessor_does_what_the_functions_do(scene):
         == geomag.match_grid(grid, flight.track, half_width=2000.0).to_dict()
     )
     assert data.geomag.iema(sigma=5.0, half_width=1000.0).n_feasible == 25
+
+
+def test_suitability_writes_grid_and_picture(scene, tmp_path):
+    xarray = pytest.importorskip("xarray")
+    options = [
+        "--speed",
+        "60",
+        "--interval",
+        "8",
+        "--samples",
+        "9",
+        "--sigma",
+        "3",
+        "--heading",
+        "0",
+        "--heading",
+        "45",
+    ]
+    done = geomag_command(
+        "suitability", "map.nc", *options, "--out", str(tmp_path / "s.nc"), "--plot", str(tmp_path / "s.png"),
+        folder=scene[0],
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"heading +45\.0  a fix on \d+% of the map, there \d+ m", done.stdout)
+    with xarray.open_dataset(tmp_path / "s.nc") as found:
+        assert {"error_m_000", "samples_045"} <= set(found)
+        assert found["error_m_045"].attrs["units"] == "m"
+    assert (tmp_path / "s.png").stat().st_size > 10_000
+    bad = geomag_command("suitability", "map.nc", "--speed", "-1", folder=scene[0])
+    assert bad.returncode == 1
+    assert "--speed" in bad.stderr

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
-__all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema"]
+__all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema", "posterior"]
 
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
@@ -134,6 +134,20 @@ def grid_search(
         "min_overlap": float(min_overlap), "refine": bool(refine),
     }  # fmt: skip
     return Method("grid", options)
+
+
+def posterior(
+    *,
+    half_width: float | Sequence[float],
+    sigma: float | None = None,
+    step: float | Sequence[float] | None = None,
+    **options: float | None,
+) -> Method:
+    """Return calibrated matching over the whole track; options as in `geomag.match_posterior`."""
+    told: dict[str, Any] = {
+        "half_width": _pair(half_width), "sigma": sigma, "step": None if step is None else _pair(step), **options,
+    }  # fmt: skip
+    return Method("posterior", told)
 
 
 def contour(**options: Any) -> Method:  # noqa: ANN401 - those of match_contour

@@ -38,6 +38,7 @@ use crate::grid::GridMap;
 use crate::matching::contour::{ContourOptions, match_contour};
 use crate::matching::grid_search::{GridSearch, match_grid};
 use crate::matching::iema::{Iema, IemaOptions};
+use crate::matching::posterior::{PosteriorOptions, match_posterior};
 use crate::monitor::{Monitor, Quiet};
 use crate::synthetic::{Flight, InsSpread, Leg, Path, Random, SensorModel, fly};
 use crate::track::Track;
@@ -112,6 +113,13 @@ pub enum Method {
     Iema(IemaOptions),
     /// Grid search over the whole track.
     Grid(GridSearch),
+    /// Calibrated matching over the whole track.
+    Posterior {
+        /// Standard deviation of a reading, where it is known.
+        sigma: Option<f64>,
+        /// Options.
+        options: PosteriorOptions,
+    },
     /// Contour matching (ICCP) over the whole track.
     Contour {
         /// Standard deviation of a measured value, where it is known.
@@ -135,6 +143,7 @@ impl Method {
                 Ok((fix, at))
             }
             Self::Grid(search) => Ok((match_grid(&**map, track, search, &Quiet)?, last)),
+            Self::Posterior { sigma, options } => Ok((match_posterior(&**map, track, *sigma, options)?, last)),
             Self::Contour { sigma, options } => Ok((match_contour(map, track, *sigma, options)?, last)),
         }
     }

@@ -7,6 +7,7 @@ use geomag_core::field::Field;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::grid_search::GridSearch;
 use geomag_core::matching::iema::IemaOptions;
+use geomag_core::matching::posterior::PosteriorOptions;
 use geomag_core::matching::similarity::Criterion;
 use geomag_core::synthetic::SyntheticField;
 use numpy::IntoPyArray;
@@ -43,6 +44,11 @@ fn overlay<T: Serialize + DeserializeOwned>(what: &str, defaults: &T, given: &Va
     serde_json::from_value(all).map_err(|e| invalid(what, "settings of that kind", e))
 }
 
+/// Standard deviation of a reading, where it is given.
+fn sigma(options: &Bound<'_, PyDict>) -> PyRes<Option<f64>> {
+    Ok(options.get_item("sigma")?.map(|s| s.extract()).transpose()?.flatten())
+}
+
 /// A matcher from its kind, and its options as JSON or, where they are those of the binding, as they are.
 fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDict>)) -> PyRes<Method> {
     match kind.as_str() {
@@ -55,17 +61,19 @@ fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDi
             Ok(Method::Grid(overlay("method grid", &defaults, &settings("method grid", json)?)?))
         }
         "contour" => {
-            let sigma = match options.get_item("sigma")? {
-                Some(sigma) => sigma.extract()?,
-                None => None,
-            };
             let rest = options.copy()?;
             if rest.contains("sigma")? {
                 rest.del_item("sigma")?;
             }
-            Ok(Method::Contour { sigma, options: contour_options(map, Some(&rest))? })
+            Ok(Method::Contour { sigma: sigma(options)?, options: contour_options(map, Some(&rest))? })
         }
-        other => Err(invalid("method", "'iema', 'grid' or 'contour'", format!("'{other}'"))),
+        "posterior" => {
+            let mut given: Value = settings("method posterior", json)?;
+            given.as_object_mut().and_then(|o| o.remove("sigma"));
+            let options_in_force = overlay("method posterior", &PosteriorOptions::new([0.0; 2]), &given)?;
+            Ok(Method::Posterior { sigma: sigma(options)?, options: options_in_force })
+        }
+        other => Err(invalid("method", "'iema', 'grid', 'posterior' or 'contour'", format!("'{other}'"))),
     }
 }
 

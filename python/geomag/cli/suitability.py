@@ -1,0 +1,81 @@
+"""`geomag suitability`: where on a map a fix can be had, how good, how soon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from geomag._errors import InvalidInputError
+from geomag.cli import app
+from geomag.io import read_grid
+
+
+@app.command(
+    epilog="Example: geomag suitability survey.nc --speed 60 --interval 8 --sigma 3 --out s.nc --plot s.png",
+)
+def suitability(
+    map: Annotated[Path, typer.Argument(help="Map file.")],
+    speed: Annotated[float, typer.Option(help="Speed of the vehicle, m/s.")],
+    interval: Annotated[float, typer.Option(help="Seconds between samples.")] = 10.0,
+    samples: Annotated[int, typer.Option(help="Samples of the track that ends at a node.")] = 20,
+    heading: Annotated[
+        list[float] | None, typer.Option(help="Heading, degrees; give it more than once for several. Default 0, 90.")
+    ] = None,
+    sigma: Annotated[float, typer.Option(help="Standard deviation of a reading, value units.")] = 5.0,
+    map_error_m: Annotated[
+        float, typer.Option(help="Error of the map as a distance: its sigma is this times the gradient.")
+    ] = 30.0,
+    tolerance_m: Annotated[float, typer.Option(help="Two standard deviations within this are a fix, m.")] = 500.0,
+    out: Annotated[Path | None, typer.Option(help="Write the results to this netCDF file.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Write a picture of the worst heading to this file.")] = None,
+    variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
+) -> int:
+    """Bound the position error of a straight track to every node of a map: where a fix can be had, how soon."""
+    from geomag.blocks import position_bound
+
+    if not (speed > 0 and interval > 0):
+        raise InvalidInputError(f"--speed, --interval: needed numbers > 0, got {speed} and {interval}")
+    grid = read_grid(map, variable, geographic=geographic)
+    headings = heading or [0.0, 90.0]
+    found = position_bound(
+        grid.to_xarray(),
+        heading_deg=headings,
+        samples=samples,
+        spacing_m=speed * interval,
+        sigma=sigma,
+        map_error_m=map_error_m,
+        tolerance_m=tolerance_m,
+        geographic=grid.geographic,
+        progress=True,
+    )
+    errors = np.stack([found[name].values for name in found if str(name).startswith("error_m")])
+    soon = np.stack([found[name].values for name in found if str(name).startswith("samples")])
+    for h, error, count in zip(headings, errors, soon, strict=True):
+        known = ~np.isnan(error)
+        if not known.any():
+            typer.echo(f"heading {h:5.1f}  no track of {samples} samples lies on the map")
+            continue
+        good = (2.0 * error <= tolerance_m) & known
+        text = f"heading {h:5.1f}  a fix on {good.sum() / known.sum():.0%} of the map"
+        if good.any():
+            minutes = float(np.nanmedian(count[good])) * interval / 60.0
+            text += f", there {np.median(error[good]):.0f} m (median) after {minutes:.1f} min (median)"
+        typer.echo(text)
+    if out is not None:
+        found.attrs.update(speed_m_s=speed, interval_s=interval, sigma=sigma, tolerance_m=tolerance_m)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        found.to_netcdf(out)
+    if plot is not None:
+        from geomag.plot import save, suitability_map
+
+        worst = np.where(np.isinf(errors), np.nan, errors).max(axis=0)
+        ax = suitability_map(
+            worst, grid.x, grid.y, geographic=grid.geographic, good_below=tolerance_m / 2.0,
+            label="least standard deviation (m), worst heading", title=f"{samples} samples, {speed * interval:g} m apart",
+        )  # fmt: skip
+        save(ax.figure, plot)  # type: ignore[arg-type]
+    return 0
