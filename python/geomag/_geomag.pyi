@@ -290,7 +290,7 @@ def campaign_rows(
     grid: GridMap,
     truth: GridMap | SyntheticField | None,
     campaign_json: str,
-    methods_json: str,
+    methods: Sequence[tuple[str, str, dict[str, Any]]],
     trials: Sequence[int],
     threads: int | None = None,
     progress: Progress = None,
@@ -298,6 +298,217 @@ def campaign_rows(
 def campaign_flight(
     grid: GridMap, truth: GridMap | SyntheticField | None, campaign_json: str, trial: int
 ) -> tuple[Path, Track, Floats]: ...
+
+# Behind geomag.blocks.
+
+def bound_reach(
+    options_json: str, spacing: Sequence[float], geographic: bool, latitude_deg: float
+) -> tuple[int, int]: ...
+def bound_block(
+    values: ArrayLike, y: ArrayLike, spacing: Sequence[float], geographic: bool, options_json: str
+) -> list[tuple[Floats, Floats]]: ...
+
+# Contour matching, matching sequences, INS feedback.
+
+_Transform: TypeAlias = Literal["translation", "rigid", "similarity", "affine"]
+
+def closest_contour_point(
+    grid: GridMap, x: ArrayLike, y: ArrayLike, value: ArrayLike, *, radius_m: float = ...
+) -> tuple[Any, Any, Any]: ...
+def fit_transform(
+    source: ArrayLike, target: ArrayLike, *, kind: _Transform = "rigid", weights: ArrayLike | None = None
+) -> tuple[Floats, Floats]: ...
+def match_contour(
+    grid: GridMap,
+    track: Track,
+    *,
+    sigma: float | None = None,
+    weights: ArrayLike | None = None,
+    channels: Sequence[tuple[GridMap, ArrayLike, float]] | None = None,
+    transform: _Transform = "rigid",
+    radius_m: float | None = None,
+    starts: Literal["indicated", "grid"] | ArrayLike = "indicated",
+    refine: bool = False,
+    stiffness: float = 0.0,
+    tolerance_m: float = 1.0,
+    max_iterations: int = 300,
+    min_points: int | None = None,
+    acceleration: int = 0,
+    max_rotation_deg: float | None = None,
+    offset_sigma_m: float | None = None,
+    heading_sigma_deg: float | None = None,
+    scale_sigma: float | None = None,
+    bias_sigma: float | None = None,
+    interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+    map_correlation_m: float | None = None,
+    min_overlap: float = 0.8,
+    fix_radius_m: float | None = None,
+    max_risk: float = 0.01,
+    min_goodness: float = 0.001,
+    half_width_m: float | None = None,
+    step_m: float | None = None,
+    keep_starts: int = 12,
+    max_candidates: int = 1000000,
+) -> Fix: ...
+
+@final
+class SlidingContour:
+    def __new__(
+        cls,
+        grid: GridMap,
+        *,
+        length: int,
+        sigma: float | None = None,
+        floor_m: float = 10.0,
+        transform: _Transform = "rigid",
+        radius_m: float | None = None,
+        starts: Literal["indicated", "grid"] | ArrayLike = "indicated",
+        refine: bool = False,
+        stiffness: float = 0.0,
+        tolerance_m: float = 1.0,
+        max_iterations: int = 300,
+        min_points: int | None = None,
+        acceleration: int = 0,
+        max_rotation_deg: float | None = None,
+        offset_sigma_m: float | None = None,
+        heading_sigma_deg: float | None = None,
+        scale_sigma: float | None = None,
+        bias_sigma: float | None = None,
+        interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+        map_correlation_m: float | None = None,
+        min_overlap: float = 0.8,
+        fix_radius_m: float | None = None,
+        max_risk: float = 0.01,
+        min_goodness: float = 0.001,
+        half_width_m: float | None = None,
+        step_m: float | None = None,
+        keep_starts: int = 12,
+        max_candidates: int = 1000000,
+    ) -> SlidingContour: ...
+    def update(self, x: float, y: float, value: float) -> Fix: ...
+    def run(self, track: Track) -> list[Fix]: ...
+    @property
+    def settled(self) -> dict[str, Any] | None: ...
+    @property
+    def averaged(self) -> list[dict[str, Any]]: ...
+    @property
+    def length(self) -> int: ...
+    @property
+    def count(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+def _delta_modulation(values: ArrayLike, quantum: float) -> tuple[NDArray[np.int64], NDArray[np.uint8]]: ...
+
+@final
+class DeltaModulator:
+    def __new__(cls, quantum: float) -> DeltaModulator: ...
+    def update(self, value: float) -> bool: ...
+    @property
+    def quantum(self) -> float: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def staircase(self) -> float | None: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+def energy_bandwidth(values: ArrayLike, spacing_m: float, *, share: float = 0.96) -> float: ...
+def choose_sequence(
+    along_m: ArrayLike,
+    values: ArrayLike,
+    *,
+    quantum: float,
+    cell_m: float,
+    min_cells: float = 1.0,
+    energy_share: float = 0.96,
+) -> dict[str, Any]: ...
+def tune_sequence(
+    grid: GridMap,
+    track: Track,
+    *,
+    sigma: float,
+    offset_m: float,
+    heading_sigma_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    min_length: int = 3,
+    max_length: int | None = None,
+    quanta: ArrayLike | None = None,
+    weights: tuple[float, float] = ...,
+    error_range_m: tuple[float, float] | None = None,
+    cost_range: tuple[float, float] | None = None,
+    cost_per_work: float = 1.0,
+    draws: int = 30,
+    seed: int = 0,
+    transform: _Transform = "rigid",
+    radius_m: float | None = None,
+    tolerance_m: float = 1.0,
+    max_iterations: int = 300,
+    method: Literal["exhaustive", "bpso"] = "exhaustive",
+    particles: int = 30,
+    iterations: int = 100,
+    threads: int | None = None,
+    progress: Progress = None,
+) -> dict[str, Any]: ...
+
+@final
+class CorrectedPosition:
+    @property
+    def x(self) -> float: ...
+    @property
+    def y(self) -> float: ...
+    @property
+    def offset_m(self) -> tuple[float, float]: ...
+    @property
+    def covariance_m2(self) -> Floats: ...
+
+@final
+class FeedbackStep:
+    @property
+    def before(self) -> CorrectedPosition: ...
+    @property
+    def after(self) -> CorrectedPosition: ...
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def accepted(self) -> bool: ...
+
+@final
+class InsFeedback:
+    def __new__(
+        cls,
+        *,
+        position_sigma_m: float = 500.0,
+        velocity_sigma_m_s: float = 0.5,
+        heading_sigma_deg: float = 0.1,
+        position_walk_m: float = 0.1,
+        velocity_walk_m_s: float = 0.001,
+        heading_walk_deg: float = 0.0005,
+        velocity_time_constant_s: float = ...,
+        geographic: bool = False,
+        gate_probability: float = 0.999,
+    ) -> InsFeedback: ...
+    def step(
+        self,
+        time_s: float,
+        x: float,
+        y: float,
+        fix: Fix | None = None,
+        *,
+        offset_m: ArrayLike | None = None,
+        covariance_m2: ArrayLike | None = None,
+    ) -> FeedbackStep: ...
+    @property
+    def velocity_error_m_s(self) -> tuple[float, float]: ...
+    @property
+    def heading_error_deg(self) -> float: ...
+    @property
+    def state(self) -> Floats: ...
+    @property
+    def covariance(self) -> Floats: ...
+    @property
+    def accepted(self) -> int: ...
+    @property
+    def refused(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
 
 # ---- frames, harmonic models, filters, field navigation
 

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
+use crate::map_error::{DistanceLayer, MapErrorModel};
 
 /// Positions within this many cells of a node are taken to be on it, so that rounding never drags a neighbouring hole in.
 pub(crate) const NODE_TOLERANCE: f64 = 1e-9;
@@ -215,6 +216,7 @@ pub struct GridMap {
     holes: usize,
     mean: f64,
     sigma: Option<MapSigma>,
+    error_model: Option<MapErrorModel>,
 }
 
 impl GridMap {
@@ -311,7 +313,7 @@ impl GridMap {
             return Err(Error::invalid("map values", "at least one value that is not NaN", "only NaN"));
         }
         let holes = values.len() - count;
-        Ok(Self { x, y, values, geographic, holes, mean: origin + sum / count as f64, sigma: None })
+        Ok(Self { x, y, values, geographic, holes, mean: origin + sum / count as f64, sigma: None, error_model: None })
     }
 
     /// The same map with the standard deviation of its values.
@@ -343,6 +345,23 @@ impl GridMap {
         }
         self.sigma = sigma;
         Ok(self)
+    }
+
+    /// The same map with the statistics of its errors.
+    ///
+    /// # Errors
+    /// As [`MapErrorModel::validate`].
+    pub fn with_error_model(mut self, model: Option<MapErrorModel>) -> Result<Self> {
+        if let Some(model) = &model {
+            model.validate(self.values.len())?;
+        }
+        self.error_model = model;
+        Ok(self)
+    }
+
+    /// What is known of the errors beyond their standard deviation.
+    pub fn error_model(&self) -> Option<&MapErrorModel> {
+        self.error_model.as_ref()
     }
 
     /// The x axis (east), ascending.
@@ -529,9 +548,20 @@ impl GridMap {
                 MapSigma::Grid(out)
             }
         });
+        let error_model = self.error_model.as_ref().map(|model| MapErrorModel {
+            distance_m: match &model.distance_m {
+                DistanceLayer::Constant(d) => DistanceLayer::Constant(*d),
+                DistanceLayer::Grid(layer) => {
+                    let mut out = Vec::with_capacity(rows.len() * columns.len());
+                    pick(&mut |i| out.push(layer[i]));
+                    DistanceLayer::Grid(out)
+                }
+            },
+            ..model.clone()
+        });
         let x = Axis::new(self.x.at(columns.start), self.x.step(), columns.len())?;
         let y = Axis::new(self.y.at(rows.start), self.y.step(), rows.len())?;
-        Self::from_axes(values, x, y, self.geographic)?.with_sigma(sigma)
+        Self::from_axes(values, x, y, self.geographic)?.with_sigma(sigma)?.with_error_model(error_model)
     }
 }
 

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapSigma};
+use geomag_core::map_error::{DistanceLayer, MapErrorModel};
 use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -102,6 +103,17 @@ fn axis_array<'py>(py: Python<'py>, axis: &Axis) -> PyRes<Bound<'py, PyAny>> {
     shaped(py, (0..axis.len()).map(|i| axis.at(i)).collect(), &[axis.len()])
 }
 
+impl PyGridMap {
+    fn with_model(&self, model: Option<MapErrorModel>) -> Result<Self, Error> {
+        Ok(Self {
+            inner: Arc::new((*self.inner).clone().with_error_model(model)?),
+            name: self.name.clone(),
+            units: self.units.clone(),
+            crs: self.crs.clone(),
+        })
+    }
+}
+
 #[pymethods]
 impl PyGridMap {
     #[new]
@@ -192,6 +204,49 @@ impl PyGridMap {
             Some(MapSigma::Constant(s)) => Ok(Some(shaped(py, vec![*s], &[])?)),
             Some(MapSigma::Grid(g)) => Ok(Some(shaped(py, g.clone(), &[self.inner.y().len(), self.inner.x().len()])?)),
         }
+    }
+
+    /// The same map with the statistics of its errors: see `geomag.survey`.
+    #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m))]
+    fn with_error_model(
+        &self,
+        nu: f64,
+        scale_spread: f64,
+        correlation: f64,
+        registration: f64,
+        distance_m: &Bound<'_, PyAny>,
+    ) -> PyRes<Self> {
+        let layer = if let Ok(constant) = distance_m.extract::<f64>() {
+            DistanceLayer::Constant(constant)
+        } else {
+            let (values, rows, columns) = matrix("distance_m", distance_m)?;
+            if (rows, columns) != self.shape() {
+                let needed = format!("{:?} as values", self.shape());
+                return Err(Error::shape("distance_m", needed, format!("({rows}, {columns})")).into());
+            }
+            DistanceLayer::Grid(values.into_iter().map(|d| d as f32).collect())
+        };
+        let model = MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer };
+        Ok(self.with_model(Some(model))?)
+    }
+
+    /// The statistics of the map's errors as a dictionary, or None.
+    #[getter]
+    fn error_model<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
+        let Some(model) = self.inner.error_model() else { return Ok(None) };
+        let out = PyDict::new(py);
+        out.set_item("nu", model.nu)?;
+        out.set_item("scale_spread", model.scale_spread)?;
+        out.set_item("correlation", model.correlation)?;
+        out.set_item("registration", model.registration)?;
+        match &model.distance_m {
+            DistanceLayer::Constant(d) => out.set_item("distance_m", d)?,
+            DistanceLayer::Grid(layer) => {
+                let values = layer.iter().map(|d| f64::from(*d)).collect();
+                out.set_item("distance_m", shaped(py, values, &[self.shape().0, self.shape().1])?)?;
+            }
+        }
+        Ok(Some(out))
     }
 
     /// (rows, columns).
@@ -318,7 +373,9 @@ impl PyGridMap {
         let (x, y) = (this.inner.x(), this.inner.y());
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
-        let arguments = (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text).into_pyobject(py)?;
+        let model = this.error_model(py)?;
+        let arguments =
+            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
@@ -330,6 +387,7 @@ impl PyGridMap {
         geographic: bool,
         sigma: Option<&Bound<'_, PyAny>>,
         text: (Option<String>, Option<String>, Option<String>),
+        model: Option<&Bound<'_, PyDict>>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -343,7 +401,24 @@ impl PyGridMap {
             }),
         };
         let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?;
-        Ok(Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 })
+        let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        let Some(model) = model else { return Ok(map) };
+        let number = |key: &str| -> PyRes<f64> {
+            match model.get_item(key)? {
+                Some(value) => Ok(value.extract()?),
+                None => Err(invalid("saved error model", key, "nothing")),
+            }
+        };
+        let Some(distance) = model.get_item("distance_m")? else {
+            return Err(invalid("saved error model", "distance_m", "nothing"));
+        };
+        map.with_error_model(
+            number("nu")?,
+            number("scale_spread")?,
+            number("correlation")?,
+            number("registration")?,
+            &distance,
+        )
     }
 
     fn __repr__(&self) -> String {

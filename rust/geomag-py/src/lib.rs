@@ -18,12 +18,15 @@ mod fix;
 mod frame;
 mod grid;
 mod grid_search;
+mod gridding;
 mod harmonic;
 mod iema;
+mod information;
 mod ins_feedback;
 mod kalman;
 mod long_call;
 mod navigator;
+mod posterior;
 mod sequence;
 mod synthetic;
 mod track;
@@ -43,15 +46,23 @@ mod _geomag {
     #[pymodule_export]
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
+    use crate::gridding::{py_distance_to_data, py_minimum_curvature};
+    #[pymodule_export]
     use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::information::{bound_block, bound_reach};
     #[pymodule_export]
     use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
     #[pymodule_export]
     use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
     #[pymodule_export]
     use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
+    #[pymodule_export]
+    use crate::posterior::{
+        PyPosteriorMatcher, PyPosteriorStep, PyPrediction, match_posterior, match_posterior_many, predict_many,
+    };
     #[pymodule_export]
     use crate::sequence::{
         PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,

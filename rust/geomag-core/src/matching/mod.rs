@@ -5,6 +5,7 @@ pub mod contour;
 pub mod grid_search;
 pub mod iema;
 mod local_fit;
+pub mod posterior;
 pub mod refine;
 pub mod scene;
 pub mod sequence;

@@ -1,0 +1,196 @@
+//! From a posterior to an answer: centre, covariance, risk and status.
+
+use super::search::{Posterior, Problem};
+use crate::fix::{Fix, Status, Surface};
+use crate::track::Track;
+
+/// Nodes and weights of Gauss-Hermite quadrature for a standard normal variable (Abramowitz and Stegun, table 25.10, n = 10,
+/// rescaled by sqrt 2 and 1 / sqrt pi).
+const HERMITE: [(f64, f64); 5] = [
+    (0.484_935_707_515_497_9, 0.344_642_334_932_019_6),
+    (1.465_989_094_391_158, 0.135_483_702_980_267_5),
+    (2.484_325_841_638_955, 0.019_111_580_500_770_36),
+    (3.581_823_483_551_927, 0.000_758_070_934_312_217_6),
+    (4.859_462_828_332_313, 4.310_652_630_718_302e-6),
+];
+/// Share of the prior's variance above which the field has told nothing.
+const UNINFORMED: f64 = 0.5;
+
+/// Probability that a point at distance `d` from the centre, displaced by a normal error of `sigma` per axis, lies
+/// within `radius` of it.
+pub(super) fn within(d: f64, sigma: f64, radius: f64) -> f64 {
+    if sigma <= 1e-9 * radius {
+        return f64::from(d <= radius);
+    }
+    if d - radius > 6.0 * sigma {
+        return 0.0;
+    }
+    if radius - d > 6.0 * sigma {
+        return 1.0;
+    }
+    // Across the line of centres the error is integrated out exactly, along it by quadrature.
+    let mut sum = 0.0;
+    for (node, weight) in HERMITE {
+        for u in [node, -node] {
+            let along = d + sigma * u;
+            let rest = radius * radius - along * along;
+            if rest > 0.0 {
+                sum += weight * error_function((rest / 2.0).sqrt() / sigma);
+            }
+        }
+    }
+    sum.min(1.0)
+}
+
+/// Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26), for arguments >= 0.
+fn error_function(x: f64) -> f64 {
+    let t = 1.0 / (1.0 + 0.327_591_1 * x);
+    let poly =
+        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    1.0 - poly * (-x * x).exp()
+}
+
+/// Upper tail of the standard normal law.
+pub(super) fn normal_tail(z: f64) -> f64 {
+    let half = 0.5 * (1.0 - error_function(z.abs() / std::f64::consts::SQRT_2));
+    if z >= 0.0 { half } else { 1.0 - half }
+}
+
+/// Makes the answer of a posterior.
+pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior) -> Fix {
+    let n = track.len();
+    let Some(mode) = posterior.mode() else {
+        return Fix::none(Status::Lost, n);
+    };
+    let scale = problem.scale_m;
+    let tolerance = problem.tolerance_m;
+    let metres = |o: [f64; 2]| [o[0] * scale[0], o[1] * scale[1]];
+    // The centre of the mass within the tolerance of the mode, moved there twice, so that it sits on the mode's body and
+    // not on one node of it.
+    let mut centre = metres(posterior.offsets[mode]);
+    let p: Vec<f64> = posterior.log_p.iter().map(|lp| lp.exp()).collect();
+    for _ in 0..3 {
+        let mut sums = [0.0; 3];
+        for (o, p) in posterior.offsets.iter().zip(&p) {
+            let [east, north] = metres(*o);
+            if (east - centre[0]).hypot(north - centre[1]) <= tolerance {
+                sums[0] += p;
+                sums[1] += p * east;
+                sums[2] += p * north;
+            }
+        }
+        if sums[0] > 0.0 {
+            centre = [sums[1] / sums[0], sums[2] / sums[0]];
+        }
+    }
+    let (mut inside, mut mean, mut second) = (0.0, [0.0; 2], [0.0; 3]);
+    for (i, o) in posterior.offsets.iter().enumerate() {
+        if p[i] < 1e-12 {
+            continue;
+        }
+        let [east, north] = metres(*o);
+        inside += p[i] * within((east - centre[0]).hypot(north - centre[1]), posterior.blur_m[i], tolerance);
+        mean[0] += p[i] * east;
+        mean[1] += p[i] * north;
+    }
+    for (i, o) in posterior.offsets.iter().enumerate() {
+        let [east, north] = metres(*o);
+        let (de, dn) = (east - mean[0], north - mean[1]);
+        let blur2 = posterior.blur_m[i].powi(2);
+        second[0] += p[i] * (de * de + blur2);
+        second[1] += p[i] * de * dn;
+        second[2] += p[i] * (dn * dn + blur2);
+    }
+    let risk = (1.0 - inside).clamp(0.0, 1.0);
+    let offset = [centre[0] / scale[0], centre[1] / scale[1]];
+    let (detail, nu) = problem.detail(offset, posterior.step);
+    // Under the model the mean of (nu + 1) z^2 / (nu + z^2) is 1 and its variance 2 nu / (nu + 3) a sample.
+    let deviation = (2.0 * nu / ((nu + 3.0) * detail.known.max(1) as f64)).sqrt() * problem.misfit_inflation();
+    let goodness = normal_tail((detail.misfit - 1.0) / deviation);
+    let runner_up = posterior
+        .offsets
+        .iter()
+        .zip(&posterior.log_p)
+        .filter(|(o, _)| {
+            let [east, north] = metres(**o);
+            (east - centre[0]).hypot(north - centre[1]) > tolerance
+        })
+        .map(|(_, lp)| *lp)
+        .fold(f64::NEG_INFINITY, f64::max);
+    let status = status(problem, posterior, &p, offset, risk, goodness, runner_up, second);
+    let (heading_deg, scale_correction) = problem.heading_and_scale(&detail.theta);
+    // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
+    let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
+    let covariance = [
+        [second[0] + shift_e * shift_e, second[1] + shift_e * shift_n],
+        [second[1] + shift_e * shift_n, second[2] + shift_n * shift_n],
+    ];
+    Fix {
+        covariance_m2: Some(covariance),
+        risk: Some(risk),
+        goodness: Some(goodness),
+        bias: Some(detail.bias),
+        heading_deg,
+        scale: scale_correction,
+        score: posterior.log_p[mode],
+        runner_up,
+        iterations: posterior.stages,
+        ..Fix::at_offset(problem.field, track, offset, status)
+    }
+}
+
+#[allow(clippy::too_many_arguments)] // the parts of one decision
+fn status(
+    problem: &Problem<'_>,
+    posterior: &Posterior,
+    p: &[f64],
+    offset: [f64; 2],
+    risk: f64,
+    goodness: f64,
+    runner_up: f64,
+    second: [f64; 3],
+) -> Status {
+    let options = problem.options;
+    let scale = problem.scale_m;
+    if goodness < options.min_goodness {
+        return Status::Rejected;
+    }
+    let half_m = [options.half_width[0] * scale[0], options.half_width[1] * scale[1]];
+    let at_edge = (0..2).any(|d| offset[d].abs() > options.half_width[d] - 0.5 * posterior.step[d]);
+    if at_edge {
+        return Status::AtEdge;
+    }
+    if risk <= options.max_risk {
+        return Status::Fixed;
+    }
+    let prior = (half_m[0] * half_m[0] + half_m[1] * half_m[1]) / 3.0;
+    if second[0] + second[2] > UNINFORMED * prior {
+        return Status::Uninformative;
+    }
+    // A second place, not the flank of the first: the mass around the best point away from the answer.
+    let rival = posterior.log_p.iter().position(|lp| *lp == runner_up && lp.is_finite());
+    if let Some(rival) = rival {
+        let far =
+            |a: [f64; 2], b: [f64; 2]| ((a[0] - b[0]) * scale[0]).hypot((a[1] - b[1]) * scale[1]) > problem.tolerance_m;
+        let there = posterior.offsets[rival];
+        let distance = ((there[0] - offset[0]) * scale[0]).hypot((there[1] - offset[1]) * scale[1]);
+        let mass: f64 = posterior.offsets.iter().zip(p).filter(|(o, _)| !far(**o, there)).map(|(_, p)| *p).sum();
+        if distance > 2.0 * problem.tolerance_m && mass > 0.5 * risk {
+            return Status::Ambiguous;
+        }
+    }
+    Status::Searching
+}
+
+/// The first lattice as a surface of probabilities.
+pub(super) fn surface(offsets: &[[f64; 2]], log_p: &[f64], step: [f64; 2]) -> Option<Surface> {
+    let first = *offsets.first()?;
+    let last = *offsets.last()?;
+    let columns = ((last[0] - first[0]) / step[0]).round() as usize + 1;
+    let rows = ((last[1] - first[1]) / step[1]).round() as usize + 1;
+    if columns * rows != offsets.len() {
+        return None;
+    }
+    let values = log_p.iter().map(|lp| if lp.is_finite() { lp.exp() } else { f64::NAN }).collect();
+    Some(Surface { values, rows, columns, first, step })
+}

@@ -1,0 +1,106 @@
+//! Calibrated matching: the posterior over the offset, and fixes with a declared risk.
+//!
+//! For every candidate offset o the residuals e_k = v_k - map(p_k + o) are judged by a Student-t law whose variance is
+//! that of the sensor, of the map at that place, and of the lattice's own coarseness,
+//!
+//! ```text
+//! s_k^2 = sigma_sensor^2 + (level sigma_map)^2 + |gradient|^2 (step^2 / 12 + sigma_position^2)
+//! ```
+//!
+//! with a constant bias (and, on request, heading, scale and drift) integrated out. The level, the factor by which this track
+//! fares worse or better than the map's own sigma, is integrated out over a few values. Errors of neighbouring samples
+//! are correlated over about the distance to the data, so the likelihood is taken to the power of the effective share of
+//! independent samples; features of a gridded map stand displaced by a part of that distance, so the posterior is
+//! blurred by it. The mass outside the tolerance around the answer is the declared risk.
+//!
+//! Sources: Student-t errors by reweighting, Lange, Little and Taylor, J. Am. Stat. Assoc. 84 (1989) 881; integration by
+//! Laplace's method, Tierney and Kadane, J. Am. Stat. Assoc. 81 (1986) 82; tempering by the effective number of samples of an AR(1)
+//! series, Bartlett, J. Roy. Stat. Soc. 98 (1935) 536. The error model of gridded surveys is geomag's own.
+
+mod decide;
+mod kernel;
+mod model;
+mod patch;
+mod predict;
+mod search;
+mod streaming;
+
+pub use model::{Channel, PosteriorOptions};
+pub use predict::{Prediction, predict, predict_many};
+pub use streaming::{PosteriorMatcher, PosteriorStep};
+
+use crate::error::Result;
+use crate::field::Field;
+use crate::fix::Fix;
+use crate::monitor::Monitor;
+use crate::track::Track;
+use rayon::prelude::*;
+use search::Problem;
+
+/// Tracks between two looks at the monitor.
+const MANY: usize = 64;
+
+/// Calibrated position fix of a track on one map.
+///
+/// `sigma` is the standard deviation of the sensor in value units, `None` where unknown. The answer carries the
+/// posterior's centre, covariance, risk (the probability that it is further than the tolerance from the truth) and the
+/// p-value of its residuals. Whether it is declared is its status.
+///
+/// # Errors
+/// [`Error::Invalid`](crate::error::Error::Invalid) for options out of range,
+/// [`Error::TooManyCandidates`](crate::error::Error::TooManyCandidates) for a lattice over `max_candidates`.
+pub fn match_posterior(
+    field: &dyn Field,
+    track: &Track,
+    sigma: Option<f64>,
+    options: &PosteriorOptions,
+) -> Result<Fix> {
+    match_channels(&[Channel { field, values: track.values(), sigma }], track, options)
+}
+
+/// Calibrated position fix from several fields measured along the same track, each with its own map and errors.
+///
+/// The positions (and times) of `track` are used; the values are those of the channels. Bias, heading, scale and drift are
+/// integrated out for each channel by itself, which gives away a little and assumes nothing about what they share.
+///
+/// # Errors
+/// As [`match_posterior`]; [`Error::Shape`](crate::error::Error::Shape) where a channel has another number of values.
+pub fn match_channels(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions) -> Result<Fix> {
+    let problem = Problem::new(channels, track, options)?;
+    let (offsets, step) = problem.lattice()?;
+    let posterior = problem.solve(offsets, step);
+    let mut fix = decide::answer(&problem, track, &posterior);
+    if options.surface {
+        let fixed = PosteriorOptions { step: Some(step), ..options.clone() };
+        let problem = Problem::new(channels, track, &fixed)?;
+        let (offsets, step) = problem.lattice()?;
+        let posterior = problem.solve(offsets.clone(), step);
+        let mut log_p = vec![f64::NEG_INFINITY; offsets.len()];
+        if posterior.log_p.len() == log_p.len() {
+            log_p.copy_from_slice(&posterior.log_p);
+        }
+        fix.surface = decide::surface(&offsets, &log_p, step);
+    }
+    Ok(fix)
+}
+
+/// [`match_posterior`] for many tracks on one map, in parallel; the answers are in the order of the tracks.
+///
+/// # Errors
+/// The first error of any track, or [`Error::Interrupted`](crate::error::Error::Interrupted).
+pub fn match_many(
+    field: &dyn Field,
+    tracks: &[Track],
+    sigma: Option<f64>,
+    options: &PosteriorOptions,
+    monitor: &dyn Monitor,
+) -> Result<Vec<Fix>> {
+    let mut fixes = Vec::with_capacity(tracks.len());
+    for batch in tracks.chunks(MANY) {
+        monitor.advance(fixes.len() as u64, tracks.len() as u64)?;
+        let some: Result<Vec<Fix>> =
+            batch.par_iter().map(|track| match_posterior(field, track, sigma, options)).collect();
+        fixes.extend(some?);
+    }
+    Ok(fixes)
+}

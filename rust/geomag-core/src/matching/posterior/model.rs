@@ -1,0 +1,227 @@
+//! What the posterior takes to be true: options, levels of the map error, nuisance parameters.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, require_not_negative, require_positive};
+use crate::field::Field;
+
+/// Tails of the map's error at one sample where no error model says otherwise.
+const DEFAULT_NU: f64 = 3.0;
+/// Tails of the sensor's own error: nearly normal, yet an outlier of any size counts for little.
+const SENSOR_NU: f64 = 10.0;
+/// Spread of the error level of one track where a sigma is given without an error model.
+const DEFAULT_SPREAD: f64 = 0.35;
+/// Correlation length of map errors in distances to the data, where not learnt.
+const DEFAULT_CORRELATION: f64 = 1.75;
+/// Registration error in distances to the data, where not learnt.
+const DEFAULT_REGISTRATION: f64 = 0.15;
+/// Levels of the default map error, and the logarithms of their prior weights: a map with no word about its error may
+/// be a smooth field known exactly or a sparse survey. Exactness must earn its place.
+const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, -4.0), (0.1, -3.5), (0.33, -1.5), (1.0, 0.0), (3.0, -1.0)];
+
+/// Options of the posterior matchers. [`PosteriorOptions::new`] gives defaults that need no tuning.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PosteriorOptions {
+    /// Bound of the indicated position's error, `[x, y]` map units.
+    pub half_width: [f64; 2],
+    /// Lattice step, map units; `None` chooses one and refines it around the modes that matter.
+    pub step: Option<[f64; 2]>,
+    /// A fix further than this from the truth is wrong, metres; `None` is one cell of the map.
+    pub tolerance_m: Option<f64>,
+    /// Greatest declared risk at which a fix is declared.
+    pub max_risk: f64,
+    /// Standard deviation of the constant bias of the measurement, value units; `None` is unknown without bound, 0 is no bias.
+    pub bias_sigma: Option<f64>,
+    /// Standard deviation per axis of the drift of the offset from the first sample to the newest, metres.
+    pub drift_sigma_m: f64,
+    /// Standard deviation of the heading error, degrees.
+    pub heading_sigma_deg: f64,
+    /// Standard deviation of the scale error.
+    pub scale_sigma: f64,
+    /// Standard deviation of the position jitter of one sample, metres.
+    pub position_sigma_m: f64,
+    /// Degrees of freedom of the errors; `None` takes the map's own, or 3 (10 for the error levels at which the sensor's error is all).
+    pub nu: Option<f64>,
+    /// Least share of the samples that a candidate must have on the map.
+    pub min_overlap: f64,
+    /// Least p-value of the residuals with which a fix is declared.
+    pub min_goodness: f64,
+    /// Largest lattice that may be built.
+    pub max_candidates: u64,
+    /// Whether the posterior over the first lattice is returned with the fix.
+    pub surface: bool,
+}
+
+impl PosteriorOptions {
+    /// Defaults for a start known to within `half_width` map units.
+    pub fn new(half_width: [f64; 2]) -> Self {
+        Self {
+            half_width,
+            step: None,
+            tolerance_m: None,
+            max_risk: 0.01,
+            bias_sigma: None,
+            drift_sigma_m: 0.0,
+            heading_sigma_deg: 0.0,
+            scale_sigma: 0.0,
+            position_sigma_m: 0.0,
+            nu: None,
+            min_overlap: 0.8,
+            min_goodness: 1e-3,
+            max_candidates: 4_000_000,
+            surface: false,
+        }
+    }
+
+    /// Checks the ranges of all options.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] naming the first option out of range.
+    pub fn validate(&self) -> Result<()> {
+        require_positive("half_width x", self.half_width[0])?;
+        require_positive("half_width y", self.half_width[1])?;
+        if let Some([x, y]) = self.step {
+            require_positive("step x", x)?;
+            require_positive("step y", y)?;
+        }
+        if let Some(tolerance) = self.tolerance_m {
+            require_positive("tolerance_m", tolerance)?;
+        }
+        if !(self.max_risk > 0.0 && self.max_risk < 1.0) {
+            return Err(Error::invalid("max_risk", "a probability between 0 and 1", self.max_risk));
+        }
+        if let Some(sigma) = self.bias_sigma {
+            require_not_negative("bias_sigma", sigma)?;
+        }
+        require_not_negative("drift_sigma_m", self.drift_sigma_m)?;
+        require_not_negative("heading_sigma_deg", self.heading_sigma_deg)?;
+        require_not_negative("scale_sigma", self.scale_sigma)?;
+        require_not_negative("position_sigma_m", self.position_sigma_m)?;
+        if let Some(nu) = self.nu {
+            require_positive("nu", nu)?;
+        }
+        if !(self.min_overlap > 0.0 && self.min_overlap <= 1.0) {
+            return Err(Error::invalid("min_overlap", "a share in (0, 1]", self.min_overlap));
+        }
+        if !(0.0..1.0).contains(&self.min_goodness) {
+            return Err(Error::invalid("min_goodness", "a p-value in [0, 1)", self.min_goodness));
+        }
+        Ok(())
+    }
+}
+
+/// One field that was measured along the track, with its map.
+#[derive(Debug, Clone, Copy)]
+pub struct Channel<'a> {
+    /// The map.
+    pub field: &'a dyn Field,
+    /// Measured values, one a sample of the track, value units.
+    pub values: &'a [f64],
+    /// Standard deviation of the sensor, value units; `None` where unknown.
+    pub sigma: Option<f64>,
+}
+
+/// One hypothesis on the error of the map along a track.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Level {
+    /// Factor on the map's sigma.
+    pub factor: f64,
+    /// Degrees of freedom.
+    pub nu: f64,
+    /// Logarithm of its prior probability.
+    pub log_prior: f64,
+}
+
+/// Error statistics of one channel, settled.
+#[derive(Debug, Clone)]
+pub(super) struct Noise {
+    pub sensor_variance: f64,
+    /// What the map's error may be.
+    pub levels: Vec<Level>,
+    /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
+    pub levels_are_distances: bool,
+    /// Correlation length and registration error, in distances to the data.
+    pub correlation: f64,
+    pub registration: f64,
+}
+
+impl Noise {
+    pub fn new(channel: &Channel<'_>, options: &PosteriorOptions) -> Result<Self> {
+        let grid = channel.field.as_grid();
+        let model = grid.and_then(|g| g.error_model());
+        let stated = grid.is_none_or(|g| g.map_sigma().is_some());
+        let exact = match grid.and_then(|g| g.map_sigma()) {
+            Some(crate::grid::MapSigma::Constant(s)) => *s == 0.0,
+            Some(crate::grid::MapSigma::Grid(_)) => false,
+            None => grid.is_none(),
+        };
+        let spread = model.map_or(DEFAULT_SPREAD, |m| m.scale_spread);
+        let priors: Vec<(f64, f64)> = if exact {
+            vec![(0.0, 0.0)]
+        } else if !stated {
+            UNKNOWN_LEVELS.to_vec()
+        } else if spread == 0.0 {
+            vec![(1.0, 0.0)]
+        } else {
+            [-2.0_f64, -1.0, 0.0, 1.0, 2.0].iter().map(|z| ((spread * z).exp(), -0.5 * z * z)).collect()
+        };
+        let total: f64 = priors.iter().map(|l| l.1.exp()).sum();
+        let map_nu = options.nu.or(model.map(|m| m.nu)).unwrap_or(DEFAULT_NU);
+        let sensor_nu = options.nu.unwrap_or(SENSOR_NU);
+        let levels = priors
+            .iter()
+            .map(|&(factor, weight)| Level {
+                factor,
+                nu: if factor == 0.0 { sensor_nu } else { map_nu },
+                log_prior: weight - total.ln(),
+            })
+            .collect();
+        let sensor = match channel.sigma {
+            Some(s) => require_not_negative("sigma", s)?,
+            None => 0.0,
+        };
+        // Without a word about the sensor a hundredth of the signal is taken: less cannot be told from a perfect map.
+        let mean = channel.values.iter().sum::<f64>() / channel.values.len().max(1) as f64;
+        let spread_of_values = (channel.values.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+            / channel.values.len().max(1) as f64)
+            .sqrt();
+        let floor = if channel.sigma.is_none() && model.is_none() { 0.01 * spread_of_values } else { 0.0 };
+        let floor = floor.max(1e-6 * spread_of_values).max(f64::MIN_POSITIVE.sqrt());
+        Ok(Self {
+            sensor_variance: sensor.max(floor).powi(2),
+            levels,
+            levels_are_distances: !stated,
+            correlation: model.map_or(DEFAULT_CORRELATION, |m| m.correlation),
+            registration: model.map_or(DEFAULT_REGISTRATION, |m| m.registration),
+        })
+    }
+}
+
+/// What is common to all samples of a track and is not the offset: priors of heading, scale and drift.
+#[derive(Debug, Clone)]
+pub(super) struct Nuisance {
+    /// Displacement in metres `[east, north]` of every sample per unit of each parameter: `shapes[parameter][sample]`.
+    pub shapes: Vec<Vec<[f64; 2]>>,
+    /// Their prior standard deviations.
+    pub sigmas: Vec<f64>,
+}
+
+impl Nuisance {
+    /// Parameters with a prior above zero, in the order heading (radians, clockwise), scale, drift east, drift north.
+    /// `away_m` is the displacement of every sample from the newest, metres; `age` runs from 1 (first) to 0 (newest).
+    pub fn new(options: &PosteriorOptions, away_m: &[[f64; 2]], age: &[f64]) -> Self {
+        let mut shapes = Vec::new();
+        let mut sigmas = Vec::new();
+        let mut push = |sigma: f64, shape: &dyn Fn(usize) -> [f64; 2]| {
+            if sigma > 0.0 {
+                shapes.push((0..away_m.len()).map(shape).collect());
+                sigmas.push(sigma);
+            }
+        };
+        push(options.heading_sigma_deg.to_radians(), &|k| [away_m[k][1], -away_m[k][0]]);
+        push(options.scale_sigma, &|k| away_m[k]);
+        push(options.drift_sigma_m, &|k| [-age[k], 0.0]);
+        push(options.drift_sigma_m, &|k| [0.0, -age[k]]);
+        Self { shapes, sigmas }
+    }
+}

@@ -1,0 +1,420 @@
+//! Calibrated matching.
+
+use std::sync::Arc;
+
+use geomag_core::error::Error;
+use geomag_core::field::Field;
+use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
+use geomag_core::track::Track;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyTuple};
+
+use crate::arrays::{pair, shaped, vector};
+use crate::error::PyRes;
+use crate::fix::PyFix;
+use crate::grid::field;
+use crate::long_call;
+use crate::track::PyTrack;
+
+/// A further field measured along the track: its map, values and sensor sigma.
+type Extra = (Arc<dyn Field>, Vec<f64>, Option<f64>);
+
+#[allow(clippy::too_many_arguments)] // one each, keyword-only in Python
+pub fn options(
+    half_width: &Bound<'_, PyAny>,
+    step: Option<&Bound<'_, PyAny>>,
+    tolerance_m: Option<f64>,
+    max_risk: f64,
+    bias_sigma: Option<f64>,
+    drift_sigma_m: f64,
+    heading_sigma_deg: f64,
+    scale_sigma: f64,
+    position_sigma_m: f64,
+    nu: Option<f64>,
+    min_overlap: f64,
+    min_goodness: f64,
+    max_candidates: u64,
+    surface: bool,
+) -> PyRes<PosteriorOptions> {
+    let half_width = pair("half_width", half_width)?;
+    let step = step.map(|s| pair("step", s)).transpose()?;
+    let options = PosteriorOptions {
+        half_width,
+        step,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        position_sigma_m,
+        nu,
+        min_overlap,
+        min_goodness,
+        max_candidates,
+        surface,
+    };
+    options.validate()?;
+    Ok(options)
+}
+
+fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
+    let mut out = Vec::new();
+    for item in more.unwrap_or_default() {
+        let (grid, values, sigma): (Bound<'_, PyAny>, Bound<'_, PyAny>, Option<f64>) = item.extract()?;
+        out.push((field(&grid)?, vector("values of a further field", &values)?, sigma));
+    }
+    Ok(out)
+}
+
+#[pyfunction]
+#[pyo3(signature = (grid, track, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
+    bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
+    min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, surface = false, more = None))]
+#[allow(clippy::too_many_arguments)] // one each, keyword-only
+pub fn match_posterior(
+    py: Python<'_>,
+    grid: &Bound<'_, PyAny>,
+    track: &Bound<'_, PyTrack>,
+    half_width: &Bound<'_, PyAny>,
+    sigma: Option<f64>,
+    tolerance_m: Option<f64>,
+    max_risk: f64,
+    step: Option<&Bound<'_, PyAny>>,
+    bias_sigma: Option<f64>,
+    drift_sigma_m: f64,
+    heading_sigma_deg: f64,
+    scale_sigma: f64,
+    position_sigma_m: f64,
+    nu: Option<f64>,
+    min_overlap: f64,
+    min_goodness: f64,
+    max_candidates: u64,
+    surface: bool,
+    more: Option<Vec<Bound<'_, PyAny>>>,
+) -> PyRes<PyFix> {
+    let map = field(grid)?;
+    let options = options(
+        half_width,
+        step,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        position_sigma_m,
+        nu,
+        min_overlap,
+        min_goodness,
+        max_candidates,
+        surface,
+    )?;
+    let more = extras(more)?;
+    let track = &track.get().inner;
+    let fix = py.detach(|| {
+        let mut channels = vec![Channel { field: &*map, values: track.values(), sigma }];
+        channels.extend(more.iter().map(|(f, v, s)| Channel { field: &**f, values: v, sigma: *s }));
+        posterior::match_channels(&channels, track, &options)
+    })?;
+    Ok(fix.into())
+}
+
+#[pyfunction]
+#[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
+    bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
+    min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, progress = None))]
+#[allow(clippy::too_many_arguments)] // one each, keyword-only
+pub fn match_posterior_many(
+    py: Python<'_>,
+    grid: &Bound<'_, PyAny>,
+    tracks: Vec<Bound<'_, PyTrack>>,
+    half_width: &Bound<'_, PyAny>,
+    sigma: Option<f64>,
+    tolerance_m: Option<f64>,
+    max_risk: f64,
+    step: Option<&Bound<'_, PyAny>>,
+    bias_sigma: Option<f64>,
+    drift_sigma_m: f64,
+    heading_sigma_deg: f64,
+    scale_sigma: f64,
+    position_sigma_m: f64,
+    nu: Option<f64>,
+    min_overlap: f64,
+    min_goodness: f64,
+    max_candidates: u64,
+    progress: Option<&Bound<'_, PyAny>>,
+) -> PyRes<Vec<PyFix>> {
+    let map = field(grid)?;
+    let options = options(
+        half_width,
+        step,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        position_sigma_m,
+        nu,
+        min_overlap,
+        min_goodness,
+        max_candidates,
+        false,
+    )?;
+    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let units = tracks.len() as u64 * 4_000_000;
+    let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
+        posterior::match_many(&*map, &tracks, sigma, &options, monitor)
+    })?;
+    Ok(fixes.into_iter().map(PyFix::from).collect())
+}
+
+/// What one sample did to a streaming matcher.
+#[pyclass(frozen, name = "PosteriorStep", module = "geomag")]
+pub struct PyPosteriorStep {
+    inner: PosteriorStep,
+}
+
+#[pymethods]
+impl PyPosteriorStep {
+    #[getter]
+    fn status(&self) -> &'static str {
+        self.inner.status.as_str()
+    }
+
+    #[getter]
+    fn n_feasible(&self) -> usize {
+        self.inner.n_feasible
+    }
+
+    #[getter]
+    fn extent(&self) -> (f64, f64) {
+        self.inner.extent.into()
+    }
+
+    #[getter]
+    fn risk(&self) -> f64 {
+        self.inner.risk
+    }
+
+    #[getter]
+    fn fix(&self) -> Option<PyFix> {
+        self.inner.fix.clone().map(PyFix::from)
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "PosteriorStep({}, {} feasible, risk {:.3e})",
+            self.inner.status, self.inner.n_feasible, self.inner.risk
+        )
+    }
+}
+
+/// Streaming matcher with a declared risk.
+#[pyclass(name = "PosteriorMatcher", module = "geomag")]
+pub struct PyPosteriorMatcher {
+    inner: PosteriorMatcher,
+    grid: Py<PyAny>,
+}
+
+#[pymethods]
+impl PyPosteriorMatcher {
+    #[new]
+    #[pyo3(signature = (grid, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
+        bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0,
+        nu = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, max_samples = 200))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn new(
+        grid: &Bound<'_, PyAny>,
+        half_width: &Bound<'_, PyAny>,
+        sigma: Option<f64>,
+        tolerance_m: Option<f64>,
+        max_risk: f64,
+        step: Option<&Bound<'_, PyAny>>,
+        bias_sigma: Option<f64>,
+        drift_sigma_m: f64,
+        heading_sigma_deg: f64,
+        scale_sigma: f64,
+        position_sigma_m: f64,
+        nu: Option<f64>,
+        min_overlap: f64,
+        min_goodness: f64,
+        max_candidates: u64,
+        max_samples: usize,
+    ) -> PyRes<Self> {
+        let map = field(grid)?;
+        let options = options(
+            half_width,
+            step,
+            tolerance_m,
+            max_risk,
+            bias_sigma,
+            drift_sigma_m,
+            heading_sigma_deg,
+            scale_sigma,
+            position_sigma_m,
+            nu,
+            min_overlap,
+            min_goodness,
+            max_candidates,
+            false,
+        )?;
+        let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;
+        Ok(Self { inner, grid: grid.clone().unbind() })
+    }
+
+    /// Takes one sample.
+    fn update(&mut self, x: f64, y: f64, value: f64) -> PyRes<PyPosteriorStep> {
+        Ok(PyPosteriorStep { inner: self.inner.update(x, y, value)? })
+    }
+
+    /// Takes samples until a fix is declared or the track ends; the answer then.
+    fn run(&mut self, py: Python<'_>, track: &Bound<'_, PyTrack>) -> PyRes<PyFix> {
+        let track = track.get().inner.clone();
+        let inner = &mut self.inner;
+        let fix = py.detach(|| -> Result<_, Error> {
+            for k in 0..track.len() {
+                let step = inner.update(track.x()[k], track.y()[k], track.values()[k])?;
+                if let Some(fix) = step.fix.filter(geomag_core::fix::Fix::ok) {
+                    return Ok(fix);
+                }
+            }
+            inner.fix()
+        })?;
+        Ok(fix.into())
+    }
+
+    /// The answer on the samples held.
+    fn fix(&self, py: Python<'_>) -> PyRes<PyFix> {
+        let fix = py.detach(|| self.inner.fix())?;
+        Ok(fix.into())
+    }
+
+    /// Forgets all samples.
+    fn reset(&mut self) -> PyRes<()> {
+        Ok(self.inner.reset()?)
+    }
+
+    #[getter]
+    fn n_samples(&self) -> usize {
+        self.inner.n_samples()
+    }
+
+    #[getter]
+    fn n_feasible(&self) -> usize {
+        self.inner.n_feasible()
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let this = slf.borrow();
+        let state = PyBytes::new(slf.py(), &this.inner.save()?);
+        let arguments = (this.grid.clone_ref(slf.py()), state).into_pyobject(slf.py())?;
+        Ok((slf.get_type().getattr("_restore")?, arguments))
+    }
+
+    #[staticmethod]
+    fn _restore(grid: &Bound<'_, PyAny>, state: &[u8]) -> PyRes<Self> {
+        Ok(Self { inner: PosteriorMatcher::load(field(grid)?, state)?, grid: grid.clone().unbind() })
+    }
+
+    fn __repr__(&self) -> String {
+        format!("PosteriorMatcher({} samples, {} feasible)", self.inner.n_samples(), self.inner.n_feasible())
+    }
+}
+
+/// What is to be expected of a fix along a planned track.
+#[pyclass(frozen, name = "Prediction", module = "geomag")]
+pub struct PyPrediction {
+    inner: Prediction,
+}
+
+#[pymethods]
+impl PyPrediction {
+    #[getter]
+    fn bound_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.inner.bound_m2.concat(), &[2, 2])
+    }
+
+    #[getter]
+    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+        shaped(py, self.inner.covariance_m2.concat(), &[2, 2])
+    }
+
+    #[getter]
+    fn samples_to_fix(&self) -> Option<usize> {
+        self.inner.samples_to_fix
+    }
+
+    #[getter]
+    fn fix_probability(&self) -> f64 {
+        self.inner.fix_probability
+    }
+
+    #[getter]
+    fn wrong_share(&self) -> f64 {
+        self.inner.wrong_share
+    }
+
+    #[getter]
+    fn flights(&self) -> usize {
+        self.inner.flights
+    }
+
+    fn __repr__(&self) -> String {
+        let c = self.inner.covariance_m2;
+        format!(
+            "Prediction(sigma {:.1} m east, {:.1} m north, fix probability {:.2} of {} flights)",
+            c[0][0].sqrt(),
+            c[1][1].sqrt(),
+            self.inner.fix_probability,
+            self.inner.flights
+        )
+    }
+}
+
+#[pyfunction]
+#[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, bias_sigma = None,
+    drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, nu = None, flights = 20, seed = 0, progress = None))]
+#[allow(clippy::too_many_arguments)] // one each, keyword-only
+pub fn predict_many(
+    py: Python<'_>,
+    grid: &Bound<'_, PyAny>,
+    tracks: Vec<Bound<'_, PyTrack>>,
+    half_width: &Bound<'_, PyAny>,
+    sigma: Option<f64>,
+    tolerance_m: Option<f64>,
+    max_risk: f64,
+    bias_sigma: Option<f64>,
+    drift_sigma_m: f64,
+    heading_sigma_deg: f64,
+    scale_sigma: f64,
+    nu: Option<f64>,
+    flights: usize,
+    seed: u64,
+    progress: Option<&Bound<'_, PyAny>>,
+) -> PyRes<Vec<Option<PyPrediction>>> {
+    let map = field(grid)?;
+    let options = options(
+        half_width,
+        None,
+        tolerance_m,
+        max_risk,
+        bias_sigma,
+        drift_sigma_m,
+        heading_sigma_deg,
+        scale_sigma,
+        0.0,
+        nu,
+        0.8,
+        1e-3,
+        4_000_000,
+        false,
+    )?;
+    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let units = (tracks.len() * flights.max(1)) as u64 * 4_000_000;
+    let found = long_call::run(py, units, None, progress, |monitor| {
+        posterior::predict_many(&*map, &tracks, sigma, &options, flights, seed, monitor)
+    })?;
+    Ok(found.into_iter().map(|p| p.map(|inner| PyPrediction { inner })).collect())
+}
