@@ -44,7 +44,7 @@ impl Sensing {
     /// [`Error::NotFinite`], [`Error::Invalid`] for a main field of length zero.
     pub fn at_down(model: Arc<RectangularHarmonicModel>, sensor: Sensor, down_m: f64) -> Result<Self> {
         crate::error::require_finite("down_m", &[down_m])?;
-        Self::harmonic(&model, sensor, Level::Down(down_m))
+        Self::harmonic(model, sensor, Level::Down(down_m))
     }
 
     /// A sensor at a constant height above the Earth of a harmonic model's frame; coordinates in degrees.
@@ -56,7 +56,7 @@ impl Sensing {
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
-        Self::harmonic(&model, sensor, Level::Height(frame, height_m))
+        Self::harmonic(model, sensor, Level::Height(frame, height_m))
     }
 
     /// A scalar sensor over a map; `interpolation` is how a grid is read between its nodes (bicubic for smooth
@@ -65,14 +65,15 @@ impl Sensing {
         Self { source: Source::Map { field, interpolation }, sigma: Vec::new(), largest_sigma: Vec::new() }
     }
 
-    fn harmonic(model: &Arc<RectangularHarmonicModel>, sensor: Sensor, level: Level) -> Result<Self> {
+    fn harmonic(model: Arc<RectangularHarmonicModel>, sensor: Sensor, level: Level) -> Result<Self> {
         if let Sensor::Scalar(quantity) = sensor {
             quantity.validate()?;
         }
-        let source = Source::Harmonic { model: Arc::clone(model), sensor, level };
+        let shared = Arc::clone(&model);
+        let source = Source::Harmonic { model, sensor, level };
         let mut sensing = Self { source, sigma: Vec::new(), largest_sigma: Vec::new() };
-        if model.has_covariance() {
-            sensing.sigma = sensing.sigma_maps(model, level)?;
+        if shared.has_covariance() {
+            sensing.sigma = sensing.sigma_maps(&shared, level)?;
             sensing.largest_sigma = sensing
                 .sigma
                 .iter()
