@@ -62,9 +62,16 @@ lint: $(VENV)/built $(VENV)/dev stubs
 stubs: $(VENV)/built $(VENV)/dev
 	$(BIN)/python -m mypy.stubtest geomag._geomag --allowlist tests/stubtest-allowlist.txt
 
-docs: $(VENV)/built $(VENV)/dev
+docs: $(VENV)/built $(VENV)/dev $(VENV)/site-tools
 	RUSTDOCFLAGS="-D warnings" cargo doc -p geomag-core --no-deps --locked
+	rm -rf docs/_rust && mkdir -p docs/_rust && cp -r target/doc/. docs/_rust/
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs site
+	@echo "open site/index.html"
+
+$(VENV)/site-tools: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --group docs
+	@touch $@
 
 clean:
 	cargo clean
-	rm -rf $(VENV) out site dist
+	rm -rf $(VENV) out site dist docs/_rust

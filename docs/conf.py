@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import geomag
 
 project = "geomag"
@@ -18,7 +20,7 @@ extensions = [
     "sphinx.ext.viewcode",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_rust", "reports/_*.md", "**.ipynb_checkpoints"]
 suppress_warnings = ["mystnb.unknown_mime_type"]
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
@@ -38,5 +40,6 @@ napoleon_google_docstring = False
 
 html_theme = "furo"
 html_title = f"geomag {release}"
-html_extra_path = ["_rust"]
+# rustdoc's output, where make docs has put it
+html_extra_path = ["_rust"] if (Path(__file__).parent / "_rust").is_dir() else []
 html_show_sourcelink = False

@@ -70,6 +70,19 @@ def test_python_callables_give_the_same_rows_as_rust(plan):
             np.testing.assert_allclose(ours, theirs, atol=1e-9, rtol=1e-12, err_msg=column)
 
 
+def test_contour_matching_in_rust_is_that_of_the_binding(plan):
+    options = {"starts": "grid", "half_width_m": 2500.0, "refine": True, "sigma": 2.0, "offset_sigma_m": 1500.0}
+
+    def by_hand(grid, track):
+        return geomag.match_contour(grid, track, **options)
+
+    tables = plan.compare({"rust": campaign.contour(**options), "python": by_hand}, 10)
+    assert tables["rust"]["status"].tolist() == tables["python"]["status"].tolist()
+    np.testing.assert_allclose(tables["rust"]["error_m"], tables["python"]["error_m"], atol=1e-6)
+    with pytest.raises(TypeError, match="radius"):
+        plan.run(campaign.contour(radius=3), 1)
+
+
 def test_compare_puts_every_method_on_the_same_flights(plan, table):
     tables = plan.compare({"iema": METHOD, "msd": campaign.grid_search("msd", half_width=2500.0)}, 400)
     assert tables["iema"].equals(table)

@@ -61,6 +61,32 @@ def test_other_methods_answer_or_say_no(files, capsys, method):
     assert fix["ok"] == (fix["status"] == "fixed")
 
 
+@pytest.mark.parametrize("letter", [False, True])
+def test_contour_method(files, capsys, letter):
+    """Refined from a lattice it finds the place with its covariance; to the letter it has none to give."""
+    more = ["--letter"] if letter else ["--heading-deg", 0.5, "--sigma", 6.0, "--tolerance-m", 150.0]
+    status, out, _ = call(
+        capsys,
+        "match",
+        files / "map.nc",
+        files / "log.csv",
+        "--method",
+        "contour",
+        "--half-width-m",
+        1000,
+        "--json",
+        *more,
+    )
+    fix = json.loads(out)
+    assert status == (0 if fix["ok"] else 3)
+    assert (fix["covariance_m2"] is None) == letter
+    if not letter:
+        assert fix["ok"]
+        assert fix["offset"] == pytest.approx([0.0063, -0.0041], abs=5e-4)
+        assert fix["bias"] == pytest.approx(30.0, abs=1.0)
+        assert fix["risk"] < 0.01
+
+
 def test_match_in_words_with_a_picture(files, capsys):
     pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
     picture = files / "match.png"

@@ -24,7 +24,9 @@ def rough_grid(seed, n=41, holes=0.0, smooth=False):
     return values, x, y
 
 
-@pytest.mark.parametrize(("seed", "holes", "smooth"), [(0, 0.0, False), (1, 0.1, False), (2, 0.0, True), (3, 0.05, True)])
+@pytest.mark.parametrize(
+    ("seed", "holes", "smooth"), [(0, 0.0, False), (1, 0.1, False), (2, 0.0, True), (3, 0.05, True)]
+)
 def test_closest_points_agree_with_contourpy(seed, holes, smooth):
     """White noise is full of saddles: a fifth of the cells that a contour crosses."""
     values, x, y = rough_grid(seed, holes=holes, smooth=smooth)
@@ -107,7 +109,9 @@ def test_transform_errors():
 @pytest.fixture(scope="module")
 def scene():
     x = np.arange(0.0, 40_000.0, 250.0)
-    field = 120 * np.sin(x / 1700)[None, :] * np.cos(x / 2300)[:, None] + 60 * np.cos((x[None, :] + 2 * x[:, None]) / 3100)
+    field = 120 * np.sin(x / 1700)[None, :] * np.cos(x / 2300)[:, None] + 60 * np.cos(
+        (x[None, :] + 2 * x[:, None]) / 3100
+    )
     grid = geomag.GridMap(field, x, x)
     k = np.arange(22.0)
     tx, ty = 9000 + 600 * k, 8000 + 560 * k
@@ -122,7 +126,9 @@ def test_by_default_iccp_to_the_letter(scene):
     assert fix.risk is None
     assert fix.goodness is None
     assert fix.iterations <= 300
-    exact = geomag.match_contour(grid, track, transform="translation", tolerance_m=1e-3, max_iterations=5000, radius_m=3000)
+    exact = geomag.match_contour(
+        grid, track, transform="translation", tolerance_m=1e-3, max_iterations=5000, radius_m=3000
+    )
     assert exact.ok
     np.testing.assert_allclose(exact.offset_m, (300, -250), atol=5)
     np.testing.assert_allclose(exact.track, np.column_stack([tx, ty]), atol=5)
@@ -141,7 +147,9 @@ def test_recommended_pipeline_in_degrees(scene):
     degrees = geomag.GridMap(grid.values, lon, 54.0 + grid.y / metres[1], geographic=True)
     rng = np.random.default_rng(1)
     track = geomag.Track(
-        (179.8 + (tx - 500) / metres[0] + 180) % 360 - 180, 54.0 + (ty + 400) / metres[1], v + rng.normal(size=v.size) + 7
+        (179.8 + (tx - 500) / metres[0] + 180) % 360 - 180,
+        54.0 + (ty + 400) / metres[1],
+        v + rng.normal(size=v.size) + 7,
     )
     fix = geomag.match_contour(
         degrees, track, starts="grid", refine=True, sigma=1.0, offset_sigma_m=560, heading_sigma_deg=0.5,
@@ -223,7 +231,9 @@ def test_eotvos_is_the_centrifugal_and_coriolis_acceleration():
 def gravity_scene():
     boule = pytest.importorskip("boule")
     lon, lat = np.linspace(110, 111.5, 181), np.linspace(15, 16.5, 181)
-    anomaly = 45 * np.sin(9 * lon)[None, :] * np.cos(11 * lat)[:, None] + 20 * np.cos(14 * (lon[None, :] + lat[:, None]))
+    anomaly = 45 * np.sin(9 * lon)[None, :] * np.cos(11 * lat)[:, None] + 20 * np.cos(
+        14 * (lon[None, :] + lat[:, None])
+    )
     grid = geomag.GridMap(anomaly, lon, lat, geographic=True)
     tx, ty = 110.4 + 0.013 * np.arange(24), 15.3 + 0.011 * np.arange(24)
     t = 300.0 * np.arange(24)

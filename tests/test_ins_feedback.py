@@ -50,7 +50,9 @@ def test_takes_a_matchers_answer_only_where_it_may_be_used():
     grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] * np.cos(x / 1100)[:, None], x, x)
     k = np.arange(30.0)
     track = geomag.Track(3000 + 150 * k, 4000 + 90 * k, grid.sample(3210 + 150 * k, 3875 + 90 * k))
-    good = geomag.match_contour(grid, track, starts="grid", refine=True, transform="translation", sigma=0.5, offset_sigma_m=300)
+    good = geomag.match_contour(
+        grid, track, starts="grid", refine=True, transform="translation", sigma=0.5, offset_sigma_m=300
+    )
     assert good.ok
     feedback = geomag.InsFeedback()
     step = feedback.step(0.0, track.x[-1], track.y[-1], good)
@@ -60,7 +62,10 @@ def test_takes_a_matchers_answer_only_where_it_may_be_used():
     plain = geomag.match_contour(grid, track, transform="translation")
     assert plain.covariance_m2 is None
     assert geomag.InsFeedback().step(0.0, track.x[-1], track.y[-1], plain).nis is None
-    assert geomag.InsFeedback().step(0.0, track.x[-1], track.y[-1], plain, covariance_m2=100**2 * np.eye(2)).nis is not None
+    assert (
+        geomag.InsFeedback().step(0.0, track.x[-1], track.y[-1], plain, covariance_m2=100**2 * np.eye(2)).nis
+        is not None
+    )
     lost = geomag.match_contour(grid, geomag.Track(track.x, track.y, track.values + 1e6))
     assert geomag.InsFeedback().step(0.0, 0.0, 0.0, lost, covariance_m2=np.eye(2)).nis is None
 

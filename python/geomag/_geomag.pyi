@@ -1,6 +1,7 @@
 """Signatures of the compiled module; the docstrings are on the objects themselves."""
 
 from collections.abc import Callable, Sequence
+from os import PathLike
 from typing import Any, Literal, TypeAlias, final
 
 import numpy as np
@@ -289,7 +290,7 @@ def campaign_rows(
     grid: GridMap,
     truth: GridMap | SyntheticField | None,
     campaign_json: str,
-    methods_json: str,
+    methods: Sequence[tuple[str, str, dict[str, Any]]],
     trials: Sequence[int],
     threads: int | None = None,
     progress: Progress = None,
@@ -297,3 +298,628 @@ def campaign_rows(
 def campaign_flight(
     grid: GridMap, truth: GridMap | SyntheticField | None, campaign_json: str, trial: int
 ) -> tuple[Path, Track, Floats]: ...
+
+# Behind geomag.blocks.
+
+def bound_reach(
+    options_json: str, spacing: Sequence[float], geographic: bool, latitude_deg: float
+) -> tuple[int, int]: ...
+def bound_block(
+    values: ArrayLike, y: ArrayLike, spacing: Sequence[float], geographic: bool, options_json: str
+) -> list[tuple[Floats, Floats]]: ...
+
+# Contour matching, matching sequences, INS feedback.
+
+_Transform: TypeAlias = Literal["translation", "rigid", "similarity", "affine"]
+
+def closest_contour_point(
+    grid: GridMap, x: ArrayLike, y: ArrayLike, value: ArrayLike, *, radius_m: float = ...
+) -> tuple[Any, Any, Any]: ...
+def fit_transform(
+    source: ArrayLike, target: ArrayLike, *, kind: _Transform = "rigid", weights: ArrayLike | None = None
+) -> tuple[Floats, Floats]: ...
+def match_contour(
+    grid: GridMap,
+    track: Track,
+    *,
+    sigma: float | None = None,
+    weights: ArrayLike | None = None,
+    channels: Sequence[tuple[GridMap, ArrayLike, float]] | None = None,
+    transform: _Transform = "rigid",
+    radius_m: float | None = None,
+    starts: Literal["indicated", "grid"] | ArrayLike = "indicated",
+    refine: bool = False,
+    stiffness: float = 0.0,
+    tolerance_m: float = 1.0,
+    max_iterations: int = 300,
+    min_points: int | None = None,
+    acceleration: int = 0,
+    max_rotation_deg: float | None = None,
+    offset_sigma_m: float | None = None,
+    heading_sigma_deg: float | None = None,
+    scale_sigma: float | None = None,
+    bias_sigma: float | None = None,
+    interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+    map_correlation_m: float | None = None,
+    min_overlap: float = 0.8,
+    fix_radius_m: float | None = None,
+    max_risk: float = 0.01,
+    min_goodness: float = 0.001,
+    half_width_m: float | None = None,
+    step_m: float | None = None,
+    keep_starts: int = 12,
+    max_candidates: int = 1000000,
+) -> Fix: ...
+
+@final
+class SlidingContour:
+    def __new__(
+        cls,
+        grid: GridMap,
+        *,
+        length: int,
+        sigma: float | None = None,
+        floor_m: float = 10.0,
+        transform: _Transform = "rigid",
+        radius_m: float | None = None,
+        starts: Literal["indicated", "grid"] | ArrayLike = "indicated",
+        refine: bool = False,
+        stiffness: float = 0.0,
+        tolerance_m: float = 1.0,
+        max_iterations: int = 300,
+        min_points: int | None = None,
+        acceleration: int = 0,
+        max_rotation_deg: float | None = None,
+        offset_sigma_m: float | None = None,
+        heading_sigma_deg: float | None = None,
+        scale_sigma: float | None = None,
+        bias_sigma: float | None = None,
+        interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+        map_correlation_m: float | None = None,
+        min_overlap: float = 0.8,
+        fix_radius_m: float | None = None,
+        max_risk: float = 0.01,
+        min_goodness: float = 0.001,
+        half_width_m: float | None = None,
+        step_m: float | None = None,
+        keep_starts: int = 12,
+        max_candidates: int = 1000000,
+    ) -> SlidingContour: ...
+    def update(self, x: float, y: float, value: float) -> Fix: ...
+    def run(self, track: Track) -> list[Fix]: ...
+    @property
+    def settled(self) -> dict[str, Any] | None: ...
+    @property
+    def averaged(self) -> list[dict[str, Any]]: ...
+    @property
+    def length(self) -> int: ...
+    @property
+    def count(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+def _delta_modulation(values: ArrayLike, quantum: float) -> tuple[NDArray[np.int64], NDArray[np.uint8]]: ...
+
+@final
+class DeltaModulator:
+    def __new__(cls, quantum: float) -> DeltaModulator: ...
+    def update(self, value: float) -> bool: ...
+    @property
+    def quantum(self) -> float: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def staircase(self) -> float | None: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+def energy_bandwidth(values: ArrayLike, spacing_m: float, *, share: float = 0.96) -> float: ...
+def choose_sequence(
+    along_m: ArrayLike,
+    values: ArrayLike,
+    *,
+    quantum: float,
+    cell_m: float,
+    min_cells: float = 1.0,
+    energy_share: float = 0.96,
+) -> dict[str, Any]: ...
+def tune_sequence(
+    grid: GridMap,
+    track: Track,
+    *,
+    sigma: float,
+    offset_m: float,
+    heading_sigma_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    min_length: int = 3,
+    max_length: int | None = None,
+    quanta: ArrayLike | None = None,
+    weights: tuple[float, float] = ...,
+    error_range_m: tuple[float, float] | None = None,
+    cost_range: tuple[float, float] | None = None,
+    cost_per_work: float = 1.0,
+    draws: int = 30,
+    seed: int = 0,
+    transform: _Transform = "rigid",
+    radius_m: float | None = None,
+    tolerance_m: float = 1.0,
+    max_iterations: int = 300,
+    method: Literal["exhaustive", "bpso"] = "exhaustive",
+    particles: int = 30,
+    iterations: int = 100,
+    threads: int | None = None,
+    progress: Progress = None,
+) -> dict[str, Any]: ...
+
+@final
+class CorrectedPosition:
+    @property
+    def x(self) -> float: ...
+    @property
+    def y(self) -> float: ...
+    @property
+    def offset_m(self) -> tuple[float, float]: ...
+    @property
+    def covariance_m2(self) -> Floats: ...
+
+@final
+class FeedbackStep:
+    @property
+    def before(self) -> CorrectedPosition: ...
+    @property
+    def after(self) -> CorrectedPosition: ...
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def accepted(self) -> bool: ...
+
+@final
+class InsFeedback:
+    def __new__(
+        cls,
+        *,
+        position_sigma_m: float = 500.0,
+        velocity_sigma_m_s: float = 0.5,
+        heading_sigma_deg: float = 0.1,
+        position_walk_m: float = 0.1,
+        velocity_walk_m_s: float = 0.001,
+        heading_walk_deg: float = 0.0005,
+        velocity_time_constant_s: float = ...,
+        geographic: bool = False,
+        gate_probability: float = 0.999,
+    ) -> InsFeedback: ...
+    def step(
+        self,
+        time_s: float,
+        x: float,
+        y: float,
+        fix: Fix | None = None,
+        *,
+        offset_m: ArrayLike | None = None,
+        covariance_m2: ArrayLike | None = None,
+    ) -> FeedbackStep: ...
+    @property
+    def velocity_error_m_s(self) -> tuple[float, float]: ...
+    @property
+    def heading_error_deg(self) -> float: ...
+    @property
+    def state(self) -> Floats: ...
+    @property
+    def covariance(self) -> Floats: ...
+    @property
+    def accepted(self) -> int: ...
+    @property
+    def refused(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+# ---- frames, harmonic models, filters, field navigation
+
+Earth: TypeAlias = Literal["wgs84", "sphere"]
+Reading: TypeAlias = Literal["vector", "north", "east", "down", "projection", "anomaly", "intensity"]
+Quantity: TypeAlias = Literal["north", "east", "down", "projection", "anomaly", "intensity"]
+
+@final
+class LocalFrame:
+    def __new__(
+        cls,
+        latitude_deg: float,
+        longitude_deg: float,
+        height_m: float = 0.0,
+        *,
+        earth: Earth = "wgs84",
+        radius_m: float = ...,
+    ) -> LocalFrame: ...
+    @property
+    def latitude_deg(self) -> float: ...
+    @property
+    def longitude_deg(self) -> float: ...
+    @property
+    def height_m(self) -> float: ...
+    @property
+    def earth(self) -> Earth: ...
+    @property
+    def radius_m(self) -> float | None: ...
+    def forward(
+        self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike | None = None
+    ) -> tuple[Any, Any, Any]: ...
+    def inverse(self, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike) -> tuple[Any, Any, Any]: ...
+    def rotate_to_origin(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, *vector: ArrayLike) -> Any: ...
+    def rotate_from_origin(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, *vector: ArrayLike) -> Any: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(latitude_deg: float, longitude_deg: float, height_m: float, radius_m: float | None) -> LocalFrame: ...
+
+@final
+class FieldObservations:
+    def __new__(cls) -> FieldObservations: ...
+    def add_vector(
+        self,
+        north_m: ArrayLike,
+        east_m: ArrayLike,
+        down_m: ArrayLike,
+        field: ArrayLike,
+        *,
+        sigma: ArrayLike | None = None,
+    ) -> FieldObservations: ...
+    def add_anomaly(
+        self,
+        north_m: ArrayLike,
+        east_m: ArrayLike,
+        down_m: ArrayLike,
+        values: ArrayLike,
+        *,
+        main_field: ArrayLike,
+        sigma: ArrayLike | None = None,
+    ) -> FieldObservations: ...
+    def add_intensity(
+        self,
+        north_m: ArrayLike,
+        east_m: ArrayLike,
+        down_m: ArrayLike,
+        values: ArrayLike,
+        *,
+        main_field: ArrayLike,
+        sigma: ArrayLike | None = None,
+    ) -> FieldObservations: ...
+    def __len__(self) -> int: ...
+
+@final
+class RectangularHarmonicModel:
+    @staticmethod
+    def fit(
+        north_m: ArrayLike,
+        east_m: ArrayLike,
+        down_m: ArrayLike,
+        field: ArrayLike,
+        *,
+        main_field: ArrayLike | None = None,
+        kind: Literal["anomaly", "intensity"] = "anomaly",
+        sigma: ArrayLike | None = None,
+        threads: int | None = None,
+        progress: Progress = None,
+        order: int | Sequence[int] = 12,
+        period_ratio: float | Sequence[float] = 1.5,
+        periods_m: Pair | None = None,
+        ridge: float | Sequence[float] = 1e-9,
+        truncation: float | None = None,
+        damping_m: float = 0.0,
+        huber: float | None = None,
+        max_iterations: int = 20,
+        covariance: bool = True,
+        frame: LocalFrame | None = None,
+        unit: str = "nT",
+        folds: int = 5,
+        groups: ArrayLike | None = None,
+        seed: int = 0,
+    ) -> RectangularHarmonicModel: ...
+    @staticmethod
+    def fit_observations(
+        observations: FieldObservations,
+        *,
+        threads: int | None = None,
+        progress: Progress = None,
+        order: int | Sequence[int] = 12,
+        period_ratio: float | Sequence[float] = 1.5,
+        periods_m: Pair | None = None,
+        ridge: float | Sequence[float] = 1e-9,
+        truncation: float | None = None,
+        damping_m: float = 0.0,
+        huber: float | None = None,
+        max_iterations: int = 20,
+        covariance: bool = True,
+        frame: LocalFrame | None = None,
+        unit: str = "nT",
+        folds: int = 5,
+        groups: ArrayLike | None = None,
+        seed: int = 0,
+    ) -> RectangularHarmonicModel: ...
+    @staticmethod
+    def select(
+        observations: FieldObservations,
+        *,
+        threads: int | None = None,
+        progress: Progress = None,
+        order: int | Sequence[int] = 12,
+        period_ratio: float | Sequence[float] = 1.5,
+        ridge: float | Sequence[float] = 1e-9,
+        damping_m: float = 0.0,
+        huber: float | None = None,
+        max_iterations: int = 20,
+        folds: int = 5,
+        groups: ArrayLike | None = None,
+        seed: int = 0,
+    ) -> tuple[dict[str, float], list[dict[str, float]]]: ...
+    @staticmethod
+    def from_coefficients(
+        order: int,
+        periods_m: Pair,
+        coefficients: ArrayLike,
+        *,
+        region: ArrayLike,
+        frame: LocalFrame | None = None,
+        unit: str = "nT",
+        covariance: ArrayLike | None = None,
+    ) -> RectangularHarmonicModel: ...
+    @staticmethod
+    def terms(order: int) -> list[tuple[int, int, str, str]]: ...
+    def field(
+        self, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike, *, extrapolate: bool = False
+    ) -> Floats: ...
+    def intensity(
+        self,
+        north_m: ArrayLike,
+        east_m: ArrayLike,
+        down_m: ArrayLike,
+        *,
+        main_field: ArrayLike | None = None,
+        extrapolate: bool = False,
+    ) -> Any: ...
+    def potential(
+        self, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike, *, extrapolate: bool = False
+    ) -> Any: ...
+    def gradient(
+        self, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike, *, extrapolate: bool = False
+    ) -> Floats: ...
+    def sigma(
+        self,
+        north_m: ArrayLike,
+        east_m: ArrayLike,
+        down_m: ArrayLike,
+        *,
+        direction: ArrayLike | None = None,
+        extrapolate: bool = False,
+    ) -> Any: ...
+    def field_grid(
+        self, north_m: ArrayLike, east_m: ArrayLike, down_m: float, *, extrapolate: bool = False
+    ) -> Floats: ...
+    def field_geographic(
+        self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike, *, extrapolate: bool = False
+    ) -> Floats: ...
+    def to_map(
+        self,
+        quantity: Quantity = "down",
+        *,
+        main_field: ArrayLike | None = None,
+        down_m: float | None = None,
+        height_m: float | None = None,
+    ) -> HarmonicMap: ...
+    def sample_to_grid(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        quantity: Quantity = "down",
+        main_field: ArrayLike | None = None,
+        down_m: float | None = None,
+        height_m: float | None = None,
+    ) -> GridMap: ...
+    def to_json(self, path: str | PathLike[str] | None = None, *, covariance: bool = True) -> str | None: ...
+    @staticmethod
+    def from_json(path: str | PathLike[str]) -> RectangularHarmonicModel: ...
+    @property
+    def order(self) -> int: ...
+    @property
+    def periods_m(self) -> tuple[float, float]: ...
+    @property
+    def coefficients(self) -> Floats: ...
+    @property
+    def covariance(self) -> Floats | None: ...
+    @property
+    def region(self) -> Floats: ...
+    @property
+    def frame(self) -> LocalFrame | None: ...
+    @property
+    def unit(self) -> str: ...
+    @property
+    def summary(self) -> dict[str, Any] | None: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    __hash__: None  # type: ignore[assignment]
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+@final
+class HarmonicMap:
+    def sample(self, x: ArrayLike, y: ArrayLike) -> Any: ...
+    def gradient(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]: ...
+    def to_grid(self, x: ArrayLike, y: ArrayLike) -> GridMap: ...
+    @property
+    def geographic(self) -> bool: ...
+    @property
+    def spacing(self) -> tuple[float, float]: ...
+    @property
+    def mean(self) -> float: ...
+    @property
+    def model(self) -> RectangularHarmonicModel: ...
+    @property
+    def quantity(self) -> Quantity: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(
+        model: RectangularHarmonicModel,
+        quantity: str,
+        main_field: Sequence[float] | None,
+        down_m: float | None,
+        height_m: float | None,
+    ) -> HarmonicMap: ...
+
+@final
+class UnscentedKalmanFilter:
+    def __new__(
+        cls, x: ArrayLike, P: ArrayLike, *, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0
+    ) -> UnscentedKalmanFilter: ...
+    def predict(self, f: Callable[[Floats], ArrayLike] | ArrayLike, Q: ArrayLike) -> None: ...
+    def update(
+        self,
+        z: ArrayLike,
+        h: Callable[[Floats], ArrayLike] | FieldSensor | ArrayLike,
+        R: ArrayLike,
+        *,
+        gate: float | None = None,
+    ) -> bool: ...
+    x: Any
+    P: Any
+    @property
+    def alpha(self) -> float: ...
+    @property
+    def beta(self) -> float: ...
+    @property
+    def kappa(self) -> float: ...
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def innovation(self) -> Floats | None: ...
+    @property
+    def S(self) -> Floats | None: ...
+    @property
+    def K(self) -> Floats | None: ...
+    @property
+    def regularisations(self) -> int: ...
+    def sigma_points(self) -> Floats: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(bytes: bytes) -> UnscentedKalmanFilter: ...
+
+@final
+class ExtendedKalmanFilter:
+    def __new__(cls, x: ArrayLike, P: ArrayLike) -> ExtendedKalmanFilter: ...
+    def predict(self, state: ArrayLike, F: ArrayLike, Q: ArrayLike) -> None: ...
+    def update(
+        self, z: ArrayLike, expected: ArrayLike, H: ArrayLike, R: ArrayLike, *, gate: float | None = None
+    ) -> bool: ...
+    x: Any
+    P: Any
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def innovation(self) -> Floats | None: ...
+    @property
+    def regularisations(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(bytes: bytes) -> ExtendedKalmanFilter: ...
+
+@final
+class FieldSensor:
+    def __new__(
+        cls,
+        source: RectangularHarmonicModel | GridMap | HarmonicMap,
+        *,
+        reading: Reading = "vector",
+        main_field: ArrayLike | None = None,
+        down_m: float | None = None,
+        height_m: float | None = None,
+        interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+    ) -> FieldSensor: ...
+    def __call__(self, state: ArrayLike) -> Floats: ...
+    def read(self, x: ArrayLike, y: ArrayLike) -> Floats: ...
+    def __len__(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(
+        source: Any,
+        reading: str,
+        main_field: Sequence[float] | None,
+        down_m: float | None,
+        height_m: float | None,
+        interpolation: str,
+    ) -> FieldSensor: ...
+
+@final
+class NavigatorStep:
+    @property
+    def x(self) -> float: ...
+    @property
+    def y(self) -> float: ...
+    @property
+    def covariance_m2(self) -> Floats: ...
+    @property
+    def outcome(self) -> Literal["updated", "predicted", "rejected", "off_field"]: ...
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def dof(self) -> int: ...
+    @property
+    def diverged(self) -> bool: ...
+
+@final
+class FieldNavigator:
+    def __new__(
+        cls,
+        model: RectangularHarmonicModel | GridMap | HarmonicMap | FieldSensor,
+        *,
+        start: Sequence[float] | Floats,
+        covariance_m2: ArrayLike,
+        reading_sigma: ArrayLike,
+        position_noise_m2_s: float = 0.01,
+        speed_sigma_m_s: float = 0.0,
+        speed_walk: float = 0.0,
+        heading_sigma_deg: float = 0.0,
+        heading_walk_deg: float = 0.0,
+        bias_sigma: float = 0.0,
+        bias_walk: float = 0.0,
+        gate: float | None = 0.9999,
+        field_sigma: bool = True,
+        method: Literal["unscented", "extended"] = "unscented",
+        alpha: float = 1.0,
+        beta: float = 2.0,
+        kappa: float = 0.0,
+        reading: Reading = "vector",
+        main_field: ArrayLike | None = None,
+        down_m: float | None = None,
+        height_m: float | None = None,
+        interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+    ) -> FieldNavigator: ...
+    def step(
+        self, dt_s: float, speed_m_s: float, course_deg: float, reading: ArrayLike | None = None
+    ) -> NavigatorStep: ...
+    def bound(self, path: ArrayLike, dt_s: float, speed_m_s: float, course_deg: float) -> Floats: ...
+    @property
+    def position(self) -> tuple[float, float]: ...
+    @property
+    def covariance_m2(self) -> Floats: ...
+    @property
+    def x(self) -> Floats: ...
+    @property
+    def P(self) -> Floats: ...
+    @property
+    def speed_error_m_s(self) -> tuple[float, float] | None: ...
+    @property
+    def heading_error_deg(self) -> tuple[float, float] | None: ...
+    @property
+    def bias(self) -> list[tuple[float, float]]: ...
+    @property
+    def diverged(self) -> bool: ...
+    @property
+    def nis(self) -> float | None: ...
+    @property
+    def time_s(self) -> float: ...
+    @property
+    def n_steps(self) -> int: ...
+    @property
+    def regularisations(self) -> int: ...
+    @property
+    def sensor(self) -> FieldSensor: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(sensor: FieldSensor, bytes: bytes) -> FieldNavigator: ...

@@ -28,8 +28,8 @@ class ChosenSamples(np.ndarray[Any, np.dtype[np.int64]]):
 def delta_modulation(values: ArrayLike, quantum: float) -> ChosenSamples:
     """Choose the samples at which the field has run a quantum ahead of a staircase that follows it.
 
-    For a matching sequence whose neighbours the sensor can tell apart. Not for flat field, where it chooses few samples
-    or none; see `choose_sequence` for the sampling theorem besides.
+    For a matching sequence whose neighbours the sensor can tell apart. Not for flat field, where it chooses few
+    samples or none; see `choose_sequence` for the sampling theorem besides.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ def delta_modulation(values: ArrayLike, quantum: float) -> ChosenSamples:
 
     Notes
     -----
-    F'(0) = F(0), F'(k) = F'(k-1) + sgn(F(k) - F'(k-1)) quantum, sgn(0) = +1; code(k) = 1 where the sign is +; sample k is
-    chosen when code(k) = code(k-1). Source: Duan, Xiao, Qi, J. Astronautics 2018(2).
+    F'(0) = F(0), F'(k) = F'(k-1) + sgn(F(k) - F'(k-1)) quantum, sgn(0) = +1; code(k) = 1 where the sign is +; sample k
+    is chosen when code(k) = code(k-1). Source: Duan, Xiao, Qi, J. Astronautics 2018(2).
 
     Examples
     --------

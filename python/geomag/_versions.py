@@ -6,7 +6,6 @@ import json
 import platform
 import sys
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,9 @@ _OPTIONAL = (
 
 def versions() -> dict[str, str | None]:
     """Return the versions of geomag, Python, the system and the libraries that geomag can use; None where absent."""
+    # Here, because this import alone takes longer than all of geomag's.
+    from importlib.metadata import PackageNotFoundError, version
+
     found: dict[str, str | None] = {
         "geomag": __version__,
         "python": platform.python_version(),

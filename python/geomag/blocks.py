@@ -8,19 +8,21 @@ after the other.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geomag._errors import InvalidInputError, ShapeError
+from geomag._geomag import bound_block, bound_reach
 from geomag._optional import require
 
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
 
-__all__ = ["blockwise", "evaluate"]
+__all__ = ["blockwise", "evaluate", "position_bound"]
 
 Local = Callable[["NDArray[Any]", "NDArray[np.float64]", "NDArray[np.float64]"], Mapping[str, "NDArray[Any]"]]
 """A local computation: (values, x, y) of a block with its halo -> named arrays of the same shape."""
@@ -183,3 +185,75 @@ def evaluate(
         return function(grid_x, grid_y)
 
     return blockwise(data, at_nodes, names, block=block, dtype=dtype, attributes=attributes)
+
+
+class _Bound:
+    """The position bound of one block; picklable, so that Dask can send it."""
+
+    def __init__(self, options: str, headings: Sequence[float], spacing: tuple[float, float], geographic: bool) -> None:
+        self.options, self.headings, self.spacing, self.geographic = options, list(headings), spacing, geographic
+
+    @staticmethod
+    def names(headings: Sequence[float]) -> list[str]:
+        return [f"{kind}_{heading:03g}" for heading in headings for kind in ("error_m", "samples")]
+
+    def __call__(
+        self, values: NDArray[Any], x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> Mapping[str, NDArray[Any]]:
+        found = bound_block(values, y, self.spacing, self.geographic, self.options)
+        flat = [array for pair in found for array in pair]
+        return dict(zip(self.names(self.headings), flat, strict=True))
+
+
+def position_bound(
+    data: xr.DataArray,
+    *,
+    heading_deg: Sequence[float] = (0.0, 90.0),
+    samples: int = 20,
+    spacing_m: float = 500.0,
+    sigma: float = 5.0,
+    map_error_m: float = 30.0,
+    free_level: bool = True,
+    tolerance_m: float = 500.0,
+    geographic: bool = False,
+    block: int | tuple[int, int] | None = None,
+    progress: bool | Callable[[int, int], object] | None = None,
+) -> xr.Dataset:
+    """Where on a map a fix can be had, how good, how soon: the Cramer-Rao bound of a straight track to every node.
+
+    For maps of any size: block by block, lazily where `data` is chunked, with the same bits for any cut. It is a bound:
+    no unbiased matcher does better, and it does not know of other places that fit as well. For the probability of a fix
+    along a planned route simulate it.
+
+    Parameters
+    ----------
+    data : (y, x) map with ascending axes; NaN is unknown.
+    heading_deg : headings, clockwise from north; one pair of results each.
+    samples, spacing_m : of the track that ends at the node.
+    sigma : standard deviation of a reading, value units.
+    map_error_m : error of the map as a distance: its standard deviation is this times the gradient.
+    free_level : whether a constant of the readings is unknown.
+    tolerance_m : twice the standard deviation within this is a fix.
+    geographic : whether coordinates are degrees.
+    block, progress : as in `blockwise`.
+
+    Returns
+    -------
+    xarray.Dataset
+        For every heading `error_m_<heading>`, root of the trace of the bound in metres (infinite where nothing is told,
+        NaN where over a fifth of the track is unknown), and `samples_<heading>`, samples needed for the tolerance.
+    """
+    if data.ndim != 2 or min(data.shape) < 2:
+        raise ShapeError(f"map: needed two dimensions (y, x) of at least two nodes, got {data.dims} of {data.shape}")
+    y, x = (np.asarray(data[d], dtype=np.float64) for d in data.dims)
+    spacing = (float(x[-1] - x[0]) / (x.size - 1), float(y[-1] - y[0]) / (y.size - 1))
+    if min(spacing) <= 0:
+        raise InvalidInputError(f"map: needed ascending axes, got spacings {spacing}; sort the array first")
+    track = {"heading_deg": [float(h) for h in heading_deg], "samples": int(samples), "spacing_m": float(spacing_m)}
+    errors = {"sigma": float(sigma), "map_error_m": float(map_error_m), "free_level": bool(free_level)}
+    options = json.dumps({**track, **errors, "tolerance_m": float(tolerance_m)})
+    halo = bound_reach(options, spacing, geographic, float(np.abs(y).max()) if geographic else 0.0)
+    names = _Bound.names([float(h) for h in heading_deg])
+    units = {name: {"units": "m" if name.startswith("error") else "1"} for name in names}
+    function = _Bound(options, [float(h) for h in heading_deg], spacing, geographic)
+    return blockwise(data, function, names, halo=halo, block=block, attributes=units, progress=progress)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
-__all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "grid_search", "iema"]
+__all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema"]
 
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
@@ -134,6 +134,11 @@ def grid_search(
         "min_overlap": float(min_overlap), "refine": bool(refine),
     }  # fmt: skip
     return Method("grid", options)
+
+
+def contour(**options: Any) -> Method:  # noqa: ANN401 - those of match_contour
+    """Return contour matching (ICCP) over the whole track; options as in `geomag.match_contour`."""
+    return Method("contour", options)
 
 
 @dataclass(frozen=True)
@@ -431,8 +436,8 @@ class _Work:
         ours = {name: m for name, m in self.methods.items() if isinstance(m, Method)}
         rows: dict[str, dict[str, Any]] = {}
         if ours:
-            methods_json = json.dumps([m.to_dict() for m in ours.values()])
-            done = campaign_rows(plan.grid, plan.truth, plan._json(), methods_json, list(trials), threads, progress)
+            methods = [(m.kind, json.dumps(dict(m.options)), dict(m.options)) for m in ours.values()]
+            done = campaign_rows(plan.grid, plan.truth, plan._json(), methods, list(trials), threads, progress)
             rows.update(zip(ours, done, strict=True))
         theirs = {name: m for name, m in self.methods.items() if not isinstance(m, Method)}
         if theirs:

@@ -63,7 +63,9 @@ def _motion(
     if time_s is None:
         raise InvalidInputError("gravity reduction: needed speed_kn and course_deg, or time_s to derive them, got none")
     if len(longitude) < 2:
-        raise TooFewSamplesError(f"gravity reduction: needed at least 2 samples to derive the motion, got {len(longitude)}")
+        raise TooFewSamplesError(
+            f"gravity reduction: needed at least 2 samples to derive the motion, got {len(longitude)}"
+        )
     radius = 6_371_008.8
     e = np.gradient(np.unwrap(np.radians(longitude)), time_s) * radius * np.cos(np.radians(latitude))
     n = np.gradient(np.radians(latitude), time_s) * radius
@@ -99,7 +101,7 @@ class GravityReduction:
         height = np.broadcast_to(np.asarray(self.height_m, dtype=float), latitude.shape)
         normal = np.asarray(boule.WGS84.normal_gravity((None, latitude, np.maximum(height, 0.0))))
         depth = np.maximum(-height, 0.0)
-        return eotvos_mgal(speed, course, latitude) - normal - SEA_WATER_GRADIENT_MGAL_M * depth
+        return np.asarray(eotvos_mgal(speed, course, latitude) - normal - SEA_WATER_GRADIENT_MGAL_M * depth)
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ class MagneticReduction:
         ppigrf = require("ppigrf", "field", "the main field")
         height = np.broadcast_to(np.asarray(self.height_m, dtype=float) / 1000.0, latitude.shape)
         east, north, up = (np.asarray(c).ravel() for c in ppigrf.igrf(longitude, latitude, height, self.date))
-        return -np.sqrt(east**2 + north**2 + up**2)
+        return np.asarray(-np.sqrt(east**2 + north**2 + up**2))
 
 
 @dataclass(frozen=True)
@@ -158,8 +160,8 @@ def match_with_reduction(
 ) -> Reduced:
     """Match raw readings, reducing them anew at the matched positions until these rest.
 
-    For gravity with tens of kilometres of INS error (0.8 mGal a kilometre in latitude), and for total intensity. Not for
-    readings that are anomalies already.
+    For gravity with tens of kilometres of INS error (0.8 mGal a kilometre in latitude), and for total intensity. Not
+    for readings that are anomalies already.
 
     Parameters
     ----------
@@ -216,12 +218,15 @@ def match_with_reduction(
         if a is not None and a.shape != (px.size,):
             raise ShapeError(f"match_with_reduction {name}: needed shape ({px.size},), got {a.shape}")
     at = np.column_stack([px, py])
-    first: Fix | None = None
-    moved = np.inf
-    for passes in range(1, max_passes + 1):
+
+    def match() -> Fix:
         values = raw + reduction.correction(at[:, 0], at[:, 1], times)
-        fix = matcher(grid, Track(px, py, values, times), **options)
-        first = first or fix
+        return matcher(grid, Track(px, py, values, times), **options)
+
+    moved = np.inf
+    first = fix = match()
+    for passes in range(1, max_passes + 1):
+        fix = match() if passes > 1 else first
         if not np.isfinite(fix.track).all() or len(fix.track) != px.size:
             break
         metres = np.array([grid.metres_per_unit(float(v)) for v in fix.track[:, 1]])

@@ -11,7 +11,7 @@ import typer
 from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import Fix, GridMap, Iema, Track, match_grid
+from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid
 from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
@@ -29,6 +29,7 @@ class Method(StrEnum):
     prod = "prod"
     ncc = "ncc"
     hausdorff = "hausdorff"
+    contour = "contour"
 
 
 def default_half_width_m(grid: GridMap) -> float:
@@ -55,12 +56,23 @@ def match(
     ] = None,
     remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
     tolerance_m: Annotated[
-        float, typer.Option(help="IEMA: extent of the feasible set that is unique enough, m.")
+        float,
+        typer.Option(
+            help="IEMA: extent of the feasible set that is unique enough, m. Contour: radius of a right fix, m."
+        ),
     ] = 0.0,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
-        float, typer.Option(help="Search headings up to this, in five steps a side (not IEMA).")
+        float,
+        typer.Option(
+            help="Search headings up to this, in five steps a side (not IEMA). Contour: standard deviation of the heading."
+        ),
     ] = 0.0,
+    scale_sigma: Annotated[float, typer.Option(help="Contour: standard deviation of the speed error, a ratio.")] = 0.0,
+    letter: Annotated[
+        bool,
+        typer.Option(help="Contour: rigid ICCP to the letter, from the INS; otherwise a lattice of starts, refined."),
+    ] = False,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
@@ -86,6 +98,8 @@ def match(
         tolerance_m=tolerance_m,
         max_misses=max_misses,
         heading_deg=heading_deg,
+        scale_sigma=scale_sigma,
+        letter=letter,
         surface=plot is not None or report is not None,
     )
     if plot is not None:
@@ -123,6 +137,8 @@ def solve(
     tolerance_m: float = 0.0,
     max_misses: int = 0,
     heading_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    letter: bool = False,
     surface: bool = False,
 ) -> tuple[Fix, list[Feasible]]:
     """Run one matcher; for IEMA with `surface` also the feasible set after every sample."""
@@ -146,6 +162,25 @@ def solve(
             if step.status != "searching":
                 break
         return iema.run(track), frames
+    if method == "contour" and letter:
+        return match_contour(grid, track, sigma=sigma, radius_m=half_width_m), []
+    if method == "contour":
+        found = match_contour(
+            grid,
+            track,
+            transform="translation",
+            starts="grid",
+            refine=True,
+            sigma=sigma,
+            half_width_m=half_width_m,
+            # The half width bounds the INS error: three standard deviations.
+            offset_sigma_m=half_width_m / 3.0,
+            heading_sigma_deg=heading_deg or None,
+            scale_sigma=scale_sigma or None,
+            bias_sigma=np.inf if remove_mean else None,
+            fix_radius_m=tolerance_m or None,
+        )
+        return found, []
     headings = np.linspace(-heading_deg, heading_deg, 11) if heading_deg else [0.0]
     fix = match_grid(
         grid,

@@ -135,8 +135,12 @@ def pick(steps: Sequence[Frame], most: int) -> list[Frame]:
     """At most `most` frames, first and last kept, closer together at the start, where most happens."""
     if len(steps) <= most:
         return list(steps)
-    at = np.unique(np.round(np.geomspace(1, len(steps), most)).astype(int) - 1)
-    return [steps[i] for i in at]
+    chosen: list[int] = []
+    for k, wish in enumerate(np.round(np.geomspace(1, len(steps), most)).astype(int) - 1):
+        # As wished, but none twice, and enough left for those to come.
+        after = chosen[-1] + 1 if chosen else 0
+        chosen.append(min(max(int(wish), after), len(steps) - most + k))
+    return [steps[i] for i in chosen]
 
 
 def _draw_frame(ax: Axes, frame: Frame, true_offset: tuple[float, float] | None) -> None:

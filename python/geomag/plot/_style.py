@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -65,11 +65,17 @@ _RC: dict[str, Any] = {
 }
 
 
-def style() -> AbstractContextManager[None]:
-    """Return a context in which matplotlib draws in geomag's style."""
-    matplotlib = require("matplotlib", "plot", "plotting")
-    context: AbstractContextManager[None] = matplotlib.rc_context(_RC)
-    return context
+@contextmanager
+def style() -> Iterator[None]:
+    """Have matplotlib draw in geomag's style within a `with` block."""
+    parameters = require("matplotlib", "plot", "plotting").rcParams
+    # Not matplotlib's own context: that would also undo what a notebook's display sets up when it is first used.
+    held = {name: parameters[name] for name in _RC}
+    parameters.update(_RC)
+    try:
+        yield
+    finally:
+        parameters.update(held)
 
 
 def styled(function: Callable[_P, _R]) -> Callable[_P, _R]:

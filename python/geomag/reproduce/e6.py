@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomag._geomag import GridMap, SlidingContour, Track, match_contour
+from geomag._geomag import GridMap, SlidingContour
 from geomag._optional import require
 from geomag.io import read_grid
 from geomag.reduction import GravityReduction, match_with_reduction
@@ -54,7 +54,7 @@ def sail(grid: GridMap, rng: np.random.Generator, hours: float) -> Leg:
     gravity = GravityReduction()
     course = rng.uniform(0, 2 * np.pi)
     start = np.array([rng.uniform(grid.x[0] + 2, grid.x[-1] - 2), rng.uniform(grid.y[0] + 2, grid.y[-1] - 2)])
-    time_s = INTERVAL_S * np.arange(SAMPLES)
+    time_s = INTERVAL_S * np.arange(float(SAMPLES))
     scale = np.array(grid.metres_per_unit(start[1]))
     ahead = np.array([np.sin(course), np.cos(course)])
     truth = start + (SPEED_KN * 1852.0 / 3600.0 * time_s)[:, None] * ahead / scale
@@ -83,8 +83,8 @@ def options(hours: float) -> dict[str, dict[str, Any]]:
         # correction is wrong by up to 7.5 mGal: the bias.
         "recommended": {
             "transform": "translation", "radius_m": 3 * error, "refine": True, "sigma": SIGMA_MGAL,
-            "offset_sigma_m": sigma, "heading_sigma_deg": float(np.degrees(speed / np.sqrt(2))), "scale_sigma": speed / np.sqrt(2),
-            "bias_sigma": 5.0, "starts": "grid",
+            "offset_sigma_m": sigma, "heading_sigma_deg": float(np.degrees(speed / np.sqrt(2))),
+            "scale_sigma": speed / np.sqrt(2), "bias_sigma": 5.0, "starts": "grid",
         },
     }  # fmt: skip
 
@@ -107,7 +107,9 @@ def follow(grid: GridMap, leg: Leg, values: Floats | None, settings: dict[str, A
             behind = max(0, k - 1)
             pair = leg.indicated[behind : k + 1] + offset
             at = leg.time_s[behind : k + 1]
-            correction = gravity.correction(pair[:, 0], pair[:, 1], at)[-1] if k else reduced(leg, leg.indicated)[0] - leg.raw[0]
+            correction = (
+                gravity.correction(pair[:, 0], pair[:, 1], at)[-1] if k else reduced(leg, leg.indicated)[0] - leg.raw[0]
+            )
             value = leg.raw[k] + correction
         else:
             value = values[k]
@@ -135,9 +137,16 @@ def batches(grid: GridMap, leg: Leg, settings: dict[str, Any], passes: int) -> d
         if (k + 1) % WINDOW == 0:
             picks = slice(k + 1 - WINDOW, k + 1)
             found = match_with_reduction(
-                grid, *leg.indicated[picks].T, leg.raw[picks], GravityReduction(), time_s=leg.time_s[picks],
-                max_passes=passes, tolerance_m=50.0, **settings,
-            )  # fmt: skip
+                grid,
+                leg.indicated[picks, 0],
+                leg.indicated[picks, 1],
+                leg.raw[picks],
+                GravityReduction(),
+                time_s=leg.time_s[picks],
+                max_passes=passes,
+                tolerance_m=50.0,
+                **settings,
+            )
             if np.isfinite(found.fix.x):
                 offset = np.array(found.fix.offset)
                 out["newest"].append(metres(grid, np.array([found.fix.x, found.fix.y]), leg.truth[k]))
@@ -182,12 +191,43 @@ def run(context: Context) -> Report:
                 if name == "recommended" and hours == HOURS[1] and example is None:
                     example = (leg, two, runs["at the last fix"])
             rows += [
-                [hours, median(ins), name, "batch", "100 min", "once", median(single["newest"]), median(single["track"])],
-                [hours, median(ins), name, "batch", "100 min", "until at rest", median(twice["newest"]), median(twice["track"])],
+                [
+                    hours,
+                    median(ins),
+                    name,
+                    "batch",
+                    "100 min",
+                    "once",
+                    median(single["newest"]),
+                    median(single["track"]),
+                ],
+                [
+                    hours,
+                    median(ins),
+                    name,
+                    "batch",
+                    "100 min",
+                    "until at rest",
+                    median(twice["newest"]),
+                    median(twice["track"]),
+                ],
             ]
             for kind, found in slides.items():
-                rows.append([hours, median(ins), name, "sliding", "5 min", kind, median(found["newest"]), median(found["track"])])
-                gain = 100 * (1 - np.median(found["delayed"]) / np.median(found["single"])) if found["delayed"] else np.nan
+                rows.append(
+                    [
+                        hours,
+                        median(ins),
+                        name,
+                        "sliding",
+                        "5 min",
+                        kind,
+                        median(found["newest"]),
+                        median(found["track"]),
+                    ]
+                )
+                gain = (
+                    100 * (1 - np.median(found["delayed"]) / np.median(found["single"])) if found["delayed"] else np.nan
+                )
                 gains.append([hours, name, kind, median(found["single"]), median(found["delayed"]), f"{gain:.0f} %"])
             context.say(f"  E6: {hours:g} h of drift, {name}: done")
     settings_table: dict[str, object] = {
@@ -204,13 +244,13 @@ def run(context: Context) -> Report:
         settings_table,
         [
             Table(
-                "Batch against sliding window: error of the newest fix, and of the whole track with the last fix applied; "
-                "where readings are reduced",
+                "Batch against sliding window: error of the newest fix, and of the whole track with the last fix "
+                "applied; where readings are reduced",
                 (*head, "method", "window", "fix every", "reduced", "fix error m", "track error m"),
                 rows,
             ),
             Table(
-                "Averaging: a point's estimates in single windows against its weighted mean over all 20 (delayed by 95 minutes)",
+                "Averaging: a point's estimates in single windows against its weighted mean over all 20 (95 min late)",
                 (head[0], "method", "reduced", "single window m", "weighted mean m", "gain"),
                 gains,
             ),
@@ -219,14 +259,16 @@ def run(context: Context) -> Report:
     if example is not None:
         report.pictures = [picture(context, grid, *example)]
     report.notes = [
-        "The source prints no legible figures. A drift of one knot turns and stretches a 12 knot track by up to a twelfth "
-        "over the window: a method that holds heading and speed pays for it in the newest point.",
+        "The source prints no legible figures. A drift of one knot turns and stretches a 12 knot track by up to a "
+        "twelfth over the window: a method that holds heading and speed pays for it in the newest point.",
         "Reduced at the INS, readings carry an error of normal gravity of up to 0.8 mGal a kilometre of latitude.",
     ]
     return report
 
 
-def picture(context: Context, grid: GridMap, leg: Leg, batch: dict[str, list[float]], slide: dict[str, list[float]]) -> Any:  # noqa: ANN401
+def picture(
+    context: Context, grid: GridMap, leg: Leg, batch: dict[str, list[float]], slide: dict[str, list[float]]
+) -> Any:  # noqa: ANN401
     """Error over time of one leg."""
     figure_module = require("matplotlib.figure", "plot", "the pictures of the report")
     figure = figure_module.Figure(figsize=(7.5, 4.5), layout="constrained")
@@ -236,6 +278,11 @@ def picture(context: Context, grid: GridMap, leg: Leg, batch: dict[str, list[flo
     axes.plot(hours, ins, "0.5", label="INS alone")
     axes.step(hours, np.array(batch["track"]) / 1000, where="post", label="batch, fix every 100 min")
     axes.step(hours, np.array(slide["track"]) / 1000, where="post", label="sliding, fix every 5 min")
-    axes.set(xlabel="time, h", ylabel="position error, km", ylim=(0, None), title="E6: gravity, recommended settings, one leg")
+    axes.set(
+        xlabel="time, h",
+        ylabel="position error, km",
+        ylim=(0, None),
+        title="E6: gravity, recommended settings, one leg",
+    )
     axes.legend()
     return context.save(figure, "e6-leg")

@@ -35,6 +35,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::frame::displacement_m;
 use crate::grid::GridMap;
+use crate::matching::contour::{ContourOptions, match_contour};
 use crate::matching::grid_search::{GridSearch, match_grid};
 use crate::matching::iema::{Iema, IemaOptions};
 use crate::monitor::{Monitor, Quiet};
@@ -111,6 +112,13 @@ pub enum Method {
     Iema(IemaOptions),
     /// Grid search over the whole track.
     Grid(GridSearch),
+    /// Contour matching (ICCP) over the whole track.
+    Contour {
+        /// Standard deviation of a measured value, where it is known.
+        sigma: Option<f64>,
+        /// Options.
+        options: ContourOptions,
+    },
 }
 
 impl Method {
@@ -127,6 +135,7 @@ impl Method {
                 Ok((fix, at))
             }
             Self::Grid(search) => Ok((match_grid(&**map, track, search, &Quiet)?, last)),
+            Self::Contour { sigma, options } => Ok((match_contour(map, track, *sigma, options)?, last)),
         }
     }
 }

@@ -18,6 +18,7 @@ pub mod frame;
 pub mod grid;
 pub mod gridding;
 pub mod harmonic;
+pub mod information;
 pub mod kalman;
 pub mod lattice;
 pub mod map_error;

@@ -17,6 +17,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::arrays::shaped;
+use crate::contour::contour_options;
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
 use crate::long_call;
@@ -42,15 +43,29 @@ fn overlay<T: Serialize + DeserializeOwned>(what: &str, defaults: &T, given: &Va
     serde_json::from_value(all).map_err(|e| invalid(what, "settings of that kind", e))
 }
 
-fn method(given: &Value) -> PyRes<Method> {
-    let needed = "{\"iema\": {...}} or {\"grid\": {...}}";
-    let Some((kind, options)) = given.as_object().and_then(|o| o.iter().next()) else {
-        return Err(invalid("method", needed, given));
-    };
+/// A matcher from its kind, and its options as JSON or, where they are those of the binding, as they are.
+fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDict>)) -> PyRes<Method> {
     match kind.as_str() {
-        "iema" => Ok(Method::Iema(overlay("method iema", &IemaOptions::new(1.0, [0.0; 2]), options)?)),
-        "grid" => Ok(Method::Grid(overlay("method grid", &GridSearch::new(Criterion::Msd, [0.0; 2]), options)?)),
-        _ => Err(invalid("method", needed, given)),
+        "iema" => {
+            let defaults = IemaOptions::new(1.0, [0.0; 2]);
+            Ok(Method::Iema(overlay("method iema", &defaults, &settings("method iema", json)?)?))
+        }
+        "grid" => {
+            let defaults = GridSearch::new(Criterion::Msd, [0.0; 2]);
+            Ok(Method::Grid(overlay("method grid", &defaults, &settings("method grid", json)?)?))
+        }
+        "contour" => {
+            let sigma = match options.get_item("sigma")? {
+                Some(sigma) => sigma.extract()?,
+                None => None,
+            };
+            let rest = options.copy()?;
+            if rest.contains("sigma")? {
+                rest.del_item("sigma")?;
+            }
+            Ok(Method::Contour { sigma, options: contour_options(map, Some(&rest))? })
+        }
+        other => Err(invalid("method", "'iema', 'grid' or 'contour'", format!("'{other}'"))),
     }
 }
 
@@ -111,22 +126,21 @@ fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyRes<Bound<'py, PyDict>> {
 
 /// Runs trials of a campaign; one dict of columns a method.
 #[pyfunction]
-#[pyo3(signature = (grid, truth, campaign_json, methods_json, trials, threads = None, progress = None))]
+#[pyo3(signature = (grid, truth, campaign_json, methods, trials, threads = None, progress = None))]
 #[allow(clippy::too_many_arguments)] // private; geomag.campaign calls it with names
 pub fn campaign_rows<'py>(
     py: Python<'py>,
     grid: &PyGridMap,
     truth: Option<&Bound<'py, PyAny>>,
     campaign_json: &str,
-    methods_json: &str,
+    methods: Vec<(String, String, Bound<'py, PyDict>)>,
     trials: Vec<u64>,
     threads: Option<usize>,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyRes<Vec<Bound<'py, PyDict>>> {
     let campaign: Campaign = settings("campaign", campaign_json)?;
-    let given: Vec<Value> = settings("methods", methods_json)?;
-    let methods = given.iter().map(method).collect::<PyRes<Vec<Method>>>()?;
     let (map, truth) = (Arc::clone(&grid.inner), Truth::new(grid, truth)?);
+    let methods = methods.iter().map(|m| method(&map, m)).collect::<PyRes<Vec<Method>>>()?;
     let units = TRIAL_UNITS.saturating_mul(trials.len() as u64);
     let rows = long_call::run(py, units, threads, progress, |monitor| {
         run(&campaign, &map, truth.field(), &methods, &trials, monitor)

@@ -140,7 +140,7 @@ pub fn py_fit_transform<'py>(
 }
 
 /// Keyword arguments that `match_contour` and `SlidingContour` share.
-fn contour_options(map: &GridMap, given: Option<&Bound<'_, PyDict>>) -> PyRes<ContourOptions> {
+pub fn contour_options(map: &GridMap, given: Option<&Bound<'_, PyDict>>) -> PyRes<ContourOptions> {
     let mut o = ContourOptions::default();
     let mut p = Priors::default();
     let mut r = RefineOptions::default();

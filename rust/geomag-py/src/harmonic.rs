@@ -227,6 +227,7 @@ struct Keywords<'py> {
     periods_m: Option<Bound<'py, PyAny>>,
     ridge: Bound<'py, PyAny>,
     truncation: Option<f64>,
+    damping_m: f64,
     huber: Option<f64>,
     max_iterations: usize,
     covariance: bool,
@@ -255,6 +256,7 @@ impl Request {
             order: orders[0],
             period,
             regularisation,
+            damping_m: k.damping_m,
             huber: k.huber,
             max_iterations: k.max_iterations,
             covariance: k.covariance,
@@ -336,6 +338,7 @@ fn keywords<'py>(py: Python<'py>, given: Option<&Bound<'py, PyDict>>) -> PyRes<K
     for name in ["periods_m", "truncation", "huber", "frame", "groups"] {
         all.set_item(name, py.None())?;
     }
+    all.set_item("damping_m", 0.0)?;
     all.set_item("max_iterations", 20)?;
     all.set_item("covariance", true)?;
     all.set_item("unit", "nT")?;

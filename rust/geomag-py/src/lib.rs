@@ -21,6 +21,7 @@ mod grid_search;
 mod gridding;
 mod harmonic;
 mod iema;
+mod information;
 mod ins_feedback;
 mod kalman;
 mod long_call;
@@ -50,6 +51,8 @@ mod _geomag {
     use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
     #[pymodule_export]
     use crate::iema::{PyIema, PyIemaStep};
+    #[pymodule_export]
+    use crate::information::{bound_block, bound_reach};
     #[pymodule_export]
     use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
     #[pymodule_export]

@@ -473,16 +473,16 @@ impl PyFieldNavigator {
     }
 }
 
-/// A reading: a number, a sequence or an array, by the shortest way.
+/// A reading: an array, a number or a sequence, by the shortest way; asking an array for its number raises first.
 fn numbers(object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
-    if let Ok(number) = object.extract::<f64>() {
-        return Ok(vec![number]);
-    }
     if let Ok(array) = object.cast_exact::<PyArrayDyn<f64>>()
         && let Ok(read) = array.try_readonly()
         && let Ok(values) = read.as_slice()
     {
         return Ok(values.to_vec());
+    }
+    if let Ok(number) = object.extract::<f64>() {
+        return Ok(vec![number]);
     }
     vector("reading", object)
 }

@@ -73,6 +73,16 @@ impl Basis {
         coefficient_count(self.order)
     }
 
+    /// `exp(2 u depth)` for every coefficient, 1 for the uniform field; bounded, as beyond it a coefficient is nil anyhow.
+    pub(crate) fn damping(&self, depth_m: f64) -> Vec<f64> {
+        const LARGEST: f64 = 60.0;
+        let harmonic = terms(self.order).map(|term| {
+            let u = (term.t as f64 * self.wave[0]).hypot(term.r as f64 * self.wave[1]);
+            (2.0 * u * depth_m).min(LARGEST).exp()
+        });
+        [1.0; 3].into_iter().chain(harmonic).collect()
+    }
+
     /// Writes, for every coefficient, the component along `direction` of its field at a point, times `factor`.
     ///
     /// The rows of the design matrix: `B = -grad V` [Zhao et al. 2012, eq. 3 to 5, with sin(tvx) mended].

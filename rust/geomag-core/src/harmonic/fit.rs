@@ -39,6 +39,11 @@ pub struct FitOptions {
     pub period: Period,
     /// Ridge or truncated singular values.
     pub regularisation: Regularisation,
+    /// Level below the observations, metres, at which all wavelengths are expected to be equally strong: the ridge of a
+    /// coefficient is multiplied by `exp(2 u damping_m)`. Zero treats all alike, which suits observations that are dense
+    /// in both directions. Lines that lie further apart than half the shortest wavelength need one or two spacings:
+    /// alike, short waves that happen to vanish between the lines are as good as long ones that do not.
+    pub damping_m: f64,
     /// Huber's bound in standard deviations of the residuals (1.345 is usual): larger residuals count linearly.
     pub huber: Option<f64>,
     /// Most iterations of the robust and of the Gauss-Newton steps.
@@ -57,6 +62,7 @@ impl Default for FitOptions {
             order: 12,
             period: Period::Ratio(1.5),
             regularisation: Regularisation::Ridge(1e-9),
+            damping_m: 0.0,
             huber: None,
             max_iterations: 20,
             covariance: true,
@@ -138,6 +144,8 @@ pub fn fit(
 pub(super) struct Prepared {
     pub(super) basis: Basis,
     pub(super) periods_m: [f64; 2],
+    /// Share of the ridge of each coefficient.
+    pub(super) damping: Vec<f64>,
     region: Region,
 }
 
@@ -147,6 +155,7 @@ impl Prepared {
             return Err(Error::invalid("order", format!("at most {MAX_FIT_ORDER} in a fit"), options.order));
         }
         options.regularisation.validate()?;
+        crate::error::require_not_negative("damping_m", options.damping_m)?;
         if let Some(bound) = options.huber {
             crate::error::require_positive("huber", bound)?;
         }
@@ -181,7 +190,8 @@ impl Prepared {
         let region = Region { north_m, east_m, down_m };
         // Refuses periods and levels that no model can have before any work is done.
         RectangularHarmonicModel::new(options.order, periods_m, vec![0.0; needed], region)?;
-        Ok(Self { basis: Basis::new(options.order, periods_m), periods_m, region })
+        let basis = Basis::new(options.order, periods_m);
+        Ok(Self { damping: basis.damping(options.damping_m), basis, periods_m, region })
     }
 
     fn iterate(
@@ -197,7 +207,8 @@ impl Prepared {
         let mut iterations = 0;
         loop {
             let rows = linear_rows(observations, &field, &robust);
-            let (coefficients, solver) = solve_refined(&self.basis, &rows, options.regularisation, progress)?;
+            let (coefficients, solver) =
+                solve_refined(&self.basis, &rows, options.regularisation, &self.damping, progress)?;
             iterations += 1;
             field = self.field_at_points(observations, coefficients.as_slice())?;
             let found = self::residuals(observations, &field);

@@ -39,10 +39,11 @@ impl RectangularHarmonicModel {
             }
         }
         let [v, w] = self.packed.wave;
-        let mut out = vec![[f64::NAN; 3]; rows * columns];
         if rows == 0 || columns == 0 || down_m * v.hypot(w) * self.order() as f64 > 700.0 {
-            return Ok(out);
+            return Ok(vec![[f64::NAN; 3]; rows * columns]);
         }
+        // Zeroed memory comes untouched from the system: each thread is the first to write its own rows.
+        let mut out = vec![[0.0; 3]; rows * columns];
         let inner = 2 * (self.order() + 1);
         let tiles = along_east(&self.packed, east_m, down_m);
         let x = along_north(&self.packed, north_m);
@@ -61,8 +62,12 @@ impl RectangularHarmonicModel {
         // The region is a box: a row and a column decide alone.
         let [n, e] = [self.region.north_m[0], self.region.east_m[0]];
         let columns: Vec<bool> = east_m.iter().map(|&y| self.contains([n, y, down_m])).collect();
+        let all = columns.iter().all(|&c| c);
         for (row, &x) in out.chunks_exact_mut(east_m.len()).zip(north_m) {
             let inside = self.contains([x, e, down_m]);
+            if inside && all {
+                continue;
+            }
             for (node, column) in row.iter_mut().zip(&columns) {
                 if !(inside && *column) {
                     *node = [f64::NAN; 3];

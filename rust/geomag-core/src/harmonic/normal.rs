@@ -22,7 +22,8 @@ const REFINEMENTS: usize = 2;
 /// How nearly dependent columns are kept from running away. Columns are scaled to unit norm first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Regularisation {
-    /// `(A'A + ridge I) c = A'b`; zero for plain least squares.
+    /// `(A'A + ridge W) c = A'b`; zero for plain least squares. W is the identity, or grows with the wave number (see
+    /// [`FitOptions::damping_m`](super::FitOptions::damping_m)).
     Ridge(f64),
     /// Singular values below this share of the largest are left out. The normal equations resolve shares down to about
     /// 1e-7.
@@ -153,6 +154,8 @@ impl Normal {
 #[derive(Debug)]
 pub(super) struct Solver {
     scale: DVector<f64>,
+    /// Share of the ridge that each coefficient gets.
+    damping: DVector<f64>,
     inverse: Inverse,
 }
 
@@ -164,9 +167,10 @@ enum Inverse {
 }
 
 impl Solver {
-    /// Scales the columns to unit norm and factorises.
-    pub(super) fn new(mut gram: DMatrix<f64>, regularisation: Regularisation) -> Result<Self> {
+    /// Scales the columns to unit norm and factorises. `damping` multiplies the ridge of each coefficient.
+    pub(super) fn new(mut gram: DMatrix<f64>, regularisation: Regularisation, damping: &[f64]) -> Result<Self> {
         let n = gram.nrows();
+        let damping = DVector::from_column_slice(&damping[..n]);
         let scale = DVector::from_fn(n, |i, _| gram[(i, i)].sqrt());
         if let Some(i) = (0..n).find(|&i| !(scale[i] > 0.0 && scale[i].is_finite())) {
             return Err(Error::RankDeficient {
@@ -184,7 +188,7 @@ impl Solver {
         let inverse = match regularisation {
             Regularisation::Ridge(ridge) => {
                 for i in 0..n {
-                    gram[(i, i)] += ridge;
+                    gram[(i, i)] += ridge * damping[i];
                 }
                 Inverse::Ridge(factorise(gram)?, ridge)
             }
@@ -196,7 +200,7 @@ impl Solver {
                 Inverse::Truncated(vectors, DVector::from_fn(kept.len(), |k, _| 1.0 / eigen.eigenvalues[kept[k]]))
             }
         };
-        Ok(Self { scale, inverse })
+        Ok(Self { scale, damping, inverse })
     }
 
     /// Coefficients for `A'b`.
@@ -213,7 +217,8 @@ impl Solver {
     fn gradient(&self, residual: DVector<f64>, coefficients: &DVector<f64>) -> DVector<f64> {
         match self.inverse {
             Inverse::Ridge(_, ridge) => {
-                residual - ridge * coefficients.component_mul(&self.scale.component_mul(&self.scale))
+                let weight = self.scale.component_mul(&self.scale).component_mul(&self.damping);
+                residual - ridge * coefficients.component_mul(&weight)
             }
             Inverse::Truncated(..) => residual,
         }
@@ -226,7 +231,7 @@ impl Solver {
             Inverse::Ridge(_, 0.0) => n as f64,
             Inverse::Ridge(factor, ridge) => {
                 let columns = inverse_of(factor);
-                n as f64 - ridge * columns.trace()
+                n as f64 - ridge * columns.diagonal().dot(&self.damping)
             }
             Inverse::Truncated(vectors, _) => vectors.ncols() as f64,
         }
@@ -290,11 +295,12 @@ pub(super) fn solve_refined(
     basis: &Basis,
     rows: &[LinearRow],
     regularisation: Regularisation,
+    damping: &[f64],
     progress: Progress<'_>,
 ) -> Result<(DVector<f64>, Solver)> {
     // The Gram matrix is all but the whole of the work.
     let normal = Normal::of(basis, rows, progress.part(0.0, 0.8))?;
-    let solver = Solver::new(normal.gram, regularisation)?;
+    let solver = Solver::new(normal.gram, regularisation, damping)?;
     let mut coefficients = solver.solve(&normal.right);
     for step in 0..REFINEMENTS {
         let share = |k: usize| 0.8 + 0.2 * k as f64 / REFINEMENTS as f64;

@@ -124,7 +124,7 @@ pub fn select(
         let mut squares = vec![Vec::with_capacity(choice.folds); choices.len()];
         for (part, normal) in parts.iter().zip(&normals) {
             let training = Normal { gram: &whole.gram - &normal.gram, right: &whole.right - &normal.right };
-            let solutions = solve_all(&training, &choices)?;
+            let solutions = solve_all(&training, &choices, &prepared.damping)?;
             let errors = left_out_errors(&prepared, part, &solutions, step(choice.folds))?;
             for (all, error) in squares.iter_mut().zip(errors) {
                 all.push((error, part.len()));
@@ -181,12 +181,12 @@ fn reference_rows(observations: &Observations, base: &FitOptions, monitor: &dyn 
 }
 
 /// Coefficients of every choice, filled up with zeros to the highest order.
-fn solve_all(training: &Normal, choices: &[(usize, f64)]) -> Result<DMatrix<f64>> {
+fn solve_all(training: &Normal, choices: &[(usize, f64)], damping: &[f64]) -> Result<DMatrix<f64>> {
     let solutions = choices
         .par_iter()
         .map(|&(order, ridge)| {
             let leading = training.leading(coefficient_count(order));
-            let solution = Solver::new(leading.gram, Regularisation::Ridge(ridge))?.solve(&leading.right);
+            let solution = Solver::new(leading.gram, Regularisation::Ridge(ridge), damping)?.solve(&leading.right);
             Ok(solution.resize_vertically(training.right.len(), 0.0))
         })
         .collect::<Result<Vec<_>>>()?;

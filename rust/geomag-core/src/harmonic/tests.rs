@@ -374,3 +374,40 @@ fn refuses_bad_input() {
     assert!(matches!(bad.vector(&positions, &[[0.0; 3]; 5], &[0.0]), Err(Error::Invalid { .. })));
     assert!(matches!(bad.anomaly(&positions, &[0.0; 5], &[[0.0; 3]], &[]), Err(Error::Invalid { .. })));
 }
+
+#[test]
+fn damping_keeps_what_lies_between_lines() {
+    // Lines 4 km apart, waves down to 3 km: alike, waves that vanish between the lines are as good as those that do not.
+    let truth = random_model(3, 141);
+    let (mut north, mut east) = (Vec::new(), Vec::new());
+    for line in 0..10 {
+        for k in 0..60 {
+            north.push(-2e4 + 4e3 * f64::from(line));
+            east.push(-2e4 + 650.0 * f64::from(k));
+        }
+    }
+    let down = vec![0.0; north.len()];
+    let positions = Positions::new(&north, &east, &down).unwrap();
+    let main = [[20e3, 1e3, 40e3]];
+    let values: Vec<f64> =
+        truth.field(&positions, true).iter().map(|f| (20.0 * f[0] + f[1] + 40.0 * f[2]) / 44.732_538).collect();
+    let mut observations = Observations::new();
+    observations.anomaly(&positions, &values, &main, &[]).unwrap();
+    let between: Vec<f64> = north.iter().map(|n| n + 2e3).collect();
+    let probes = Positions::new(&between, &east, &down).unwrap();
+    let error = |damping_m: f64| {
+        let options = FitOptions {
+            order: 12,
+            period: Period::Ratio(1.2),
+            regularisation: Regularisation::Ridge(1e-6),
+            damping_m,
+            ..FitOptions::default()
+        };
+        let model = fit(&observations, &options, &Quiet).unwrap();
+        let pairs = model.field(&probes, true).into_iter().zip(truth.field(&probes, true));
+        let sum: f64 = pairs.map(|(a, b)| (a[2] - b[2]).powi(2)).sum();
+        (sum / probes.len() as f64).sqrt()
+    };
+    let (alike, damped) = (error(0.0), error(4e3));
+    assert!(damped < 0.2 * alike, "{damped} {alike}");
+}

@@ -7,7 +7,7 @@ use crate::error::{Error, Result, require_finite};
 
 /// Least pivot of a covariance factor as a share of its row: a correlation nearer to one is lost in the product of the
 /// factors, and the covariance that users see would no longer be positive definite.
-const LEAST_PIVOT: f64 = 1e-7;
+const LEAST_PIVOT: f64 = 3e-7;
 /// Pivots below this share of their row are checked against the product of the factors.
 const DOUBTFUL_PIVOT: f64 = 1e-4;
 /// Least pivot as a share of the state's own spread before the step: what rounding leaves of it.
@@ -15,7 +15,9 @@ const LEAST_SPREAD: f64 = 1e-16;
 /// Least pivot of the innovation as a share of its row; below it redundant measurements differ by rounding alone.
 const LEAST_INNOVATION: f64 = 1e-13;
 /// Growth of the diagonal that is tried, one after the other, where a given covariance does not factorise.
-const JITTER: [f64; 6] = [0.0, 1e-15, 1e-14, 1e-13, 1e-11, 1e-9];
+const JITTER: [f64; 6] = [0.0, 1e-15, 1e-13, 1e-12, 1e-11, 1e-9];
+/// Share of the diagonal that the product of the factors can spare and still factorise, in anybody's order of sums.
+const MARGIN: f64 = 1e-14;
 
 /// Mean and covariance of a state.
 ///
@@ -116,7 +118,7 @@ impl Estimate {
     /// Takes a new mean and a covariance given as columns whose outer products add up to it.
     pub(super) fn replace(&mut self, mean: DVector<f64>, columns: DMatrix<f64>) -> Result<()> {
         require_finite("predicted state", mean.as_slice())?;
-        let mut factor = triangular(columns);
+        let mut factor = triangular(&columns);
         require_finite("predicted covariance", factor.as_slice())?;
         let raised = raise_pivots(&mut factor, &self.factor);
         self.mean = mean;
@@ -149,7 +151,7 @@ impl Estimate {
     ) -> Result<Innovation> {
         let (m, n) = (residual.len(), self.len());
         require_finite("innovation", residual.as_slice())?;
-        let lower = triangular(joint);
+        let lower = triangular(&joint);
         require_finite("joint covariance of measurement and state", lower.as_slice())?;
         let mut root = lower.view((0, 0), (m, m)).into_owned();
         for i in 0..m {
@@ -347,12 +349,10 @@ fn raise_pivots(factor: &mut DMatrix<f64>, before: &DMatrix<f64>) -> bool {
         let covariance = outer(factor);
         for jitter in JITTER {
             let Some(mended) = cholesky(&covariance, jitter) else { continue };
-            if jitter == 0.0 {
-                break;
-            }
-            if cholesky(&outer(&mended), 0.0).is_some() {
-                *factor = mended;
-                return true;
+            let candidate = if jitter == 0.0 { factor.clone() } else { mended };
+            if cholesky(&outer(&candidate), -MARGIN).is_some() {
+                *factor = candidate;
+                return raised || jitter > 0.0;
             }
         }
     }
@@ -361,39 +361,44 @@ fn raise_pivots(factor: &mut DMatrix<f64>, before: &DMatrix<f64>) -> bool {
 
 /// The lower triangular matrix with a positive diagonal that has the same product with its transpose: Householder
 /// reflections of the rows.
-pub(super) fn triangular(columns: DMatrix<f64>) -> DMatrix<f64> {
-    let n = columns.nrows();
-    // Rows become columns, which lie together in memory.
-    let mut a = columns.transpose();
-    let k = a.nrows();
-    let mut lower = DMatrix::zeros(n, n);
-    for j in 0..n {
-        if j >= k {
-            break;
+pub(super) fn triangular(columns: &DMatrix<f64>) -> DMatrix<f64> {
+    let (n, k) = columns.shape();
+    // Each row on its own stretch of memory; plain loops, as the matrices of a filter are too small for anything else.
+    let mut rows = vec![0.0; n * k];
+    for (i, row) in rows.chunks_exact_mut(k).enumerate() {
+        for (value, c) in row.iter_mut().zip(columns.as_slice()[i..].iter().step_by(n)) {
+            *value = *c;
         }
-        let scale = a.view((j, j), (k - j, 1)).amax();
-        let head = a[(j, j)];
-        let diagonal = if scale > 0.0 {
-            let norm = scale * (j..k).map(|i| (a[(i, j)] / scale).powi(2)).sum::<f64>().sqrt();
-            let alpha = if head > 0.0 { -norm } else { norm };
+    }
+    let mut lower = DMatrix::zeros(n, n);
+    for j in 0..n.min(k) {
+        let (done, rest) = rows.split_at_mut((j + 1) * k);
+        let pivot = &mut done[j * k + j..];
+        let scale = pivot.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let head = pivot[0];
+        let mut diagonal = 0.0;
+        // Below this, one over it is out of range.
+        if scale > 1e-300 {
+            let by_scale = 1.0 / scale;
+            let norm = scale * pivot.iter().map(|v| (v * by_scale) * (v * by_scale)).sum::<f64>().sqrt();
+            diagonal = if head > 0.0 { -norm } else { norm };
             // v = x - alpha e1, H = I - 2 v v' / v'v; v'v = 2 norm (norm + |x1|).
-            a[(j, j)] = head - alpha;
-            let (left, mut right) = a.columns_range_pair_mut(j, j + 1..n);
-            let v = left.rows(j, k - j);
-            let beta = 1.0 / (norm * (norm + head.abs()));
-            for mut column in right.column_iter_mut() {
-                let mut part = column.rows_mut(j, k - j);
-                let factor = -beta * v.dot(&part);
-                part.axpy(factor, &v, 1.0);
+            pivot[0] = head - diagonal;
+            // Divided in two steps: the square of the norm may be out of range where the norm is not.
+            let (by_norm, by_sum) = (1.0 / norm, 1.0 / (norm + head.abs()));
+            for row in rest.chunks_exact_mut(k) {
+                let part = &mut row[j..];
+                let along: f64 = pivot.iter().zip(part.iter()).map(|(v, p)| (v * by_norm) * p).sum();
+                let factor = along * by_sum;
+                for (p, v) in part.iter_mut().zip(pivot.iter()) {
+                    *p -= factor * v;
+                }
             }
-            alpha
-        } else {
-            0.0
-        };
+        }
         let sign = if diagonal < 0.0 { -1.0 } else { 1.0 };
         lower[(j, j)] = sign * diagonal;
-        for i in j + 1..n {
-            lower[(i, j)] = sign * a[(j, i)];
+        for (i, row) in rest.chunks_exact(k).enumerate() {
+            lower[(j + 1 + i, j)] = sign * row[j];
         }
     }
     lower
@@ -407,21 +412,21 @@ mod tests {
     fn triangular_keeps_the_product() {
         let columns = DMatrix::from_fn(4, 9, |i, j| ((3 * i + 7 * j) as f64).sin() * 10_f64.powi(3 * i as i32 - 5));
         let expected = &columns * columns.transpose();
-        let found = outer(&triangular(columns));
+        let found = outer(&triangular(&columns));
         for i in 0..4 {
             for j in 0..4 {
                 let size = (expected[(i, i)] * expected[(j, j)]).sqrt();
                 assert!((expected[(i, j)] - found[(i, j)]).abs() < 1e-14 * size);
             }
         }
-        let narrow = triangular(DMatrix::from_row_slice(3, 1, &[1.0, -2.0, 0.0]));
+        let narrow = triangular(&DMatrix::from_row_slice(3, 1, &[1.0, -2.0, 0.0]));
         assert_eq!(narrow, DMatrix::from_row_slice(3, 3, &[1.0, 0.0, 0.0, -2.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
     }
 
     #[test]
     fn beta_does_not_overflow_for_large_and_small_rows() {
         for scale in [1e-150, 1.0, 1e150] {
-            let found = triangular(DMatrix::from_row_slice(1, 2, &[3.0 * scale, 4.0 * scale]));
+            let found = triangular(&DMatrix::from_row_slice(1, 2, &[3.0 * scale, 4.0 * scale]));
             assert!((found[(0, 0)] / scale - 5.0).abs() < 1e-14);
         }
     }

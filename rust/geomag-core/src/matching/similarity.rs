@@ -6,6 +6,7 @@
 // A kernel that is not inlined is not compiled for the instruction set that was chosen.
 #![allow(clippy::inline_always)]
 
+use pulp::Simd;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_positive};
@@ -308,18 +309,17 @@ impl Measure for Msd {
     const SLOTS_WEIGHTED: usize = 1;
 
     #[inline(always)]
-    fn add<T: Real, const N: usize, const FUSED: bool, const WEIGHTED: bool>(
+    fn add<S: Simd, T: Real, const WEIGHTED: bool>(
         &self,
-        sums: &mut [[T; N]; MAX_SLOTS],
-        m: &[T; N],
-        v: T,
-        w: &[T; N],
+        simd: S,
+        sums: &mut [T::Vector<S>],
+        m: T::Vector<S>,
+        v: T::Vector<S>,
+        w: T::Vector<S>,
     ) {
-        for l in 0..N {
-            let r = m[l] - v;
-            let q = if WEIGHTED { r * w[l] } else { r };
-            sums[0][l] = T::fma::<FUSED>(q, r, sums[0][l]);
-        }
+        let r = T::sub(simd, m, v);
+        let q = if WEIGHTED { T::mul(simd, r, w) } else { r };
+        sums[0] = T::fma(simd, q, r, sums[0]);
     }
 
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
@@ -336,19 +336,18 @@ impl Measure for CentredMsd {
     const SLOTS_WEIGHTED: usize = 2;
 
     #[inline(always)]
-    fn add<T: Real, const N: usize, const FUSED: bool, const WEIGHTED: bool>(
+    fn add<S: Simd, T: Real, const WEIGHTED: bool>(
         &self,
-        sums: &mut [[T; N]; MAX_SLOTS],
-        m: &[T; N],
-        v: T,
-        w: &[T; N],
+        simd: S,
+        sums: &mut [T::Vector<S>],
+        m: T::Vector<S>,
+        v: T::Vector<S>,
+        w: T::Vector<S>,
     ) {
-        for l in 0..N {
-            let r = m[l] - v;
-            let q = if WEIGHTED { r * w[l] } else { r };
-            sums[0][l] = sums[0][l] + q;
-            sums[1][l] = T::fma::<FUSED>(q, r, sums[1][l]);
-        }
+        let r = T::sub(simd, m, v);
+        let q = if WEIGHTED { T::mul(simd, r, w) } else { r };
+        sums[0] = T::add(simd, sums[0], q);
+        sums[1] = T::fma(simd, q, r, sums[1]);
     }
 
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
@@ -366,17 +365,16 @@ impl Measure for Mad {
     const SLOTS_WEIGHTED: usize = 1;
 
     #[inline(always)]
-    fn add<T: Real, const N: usize, const FUSED: bool, const WEIGHTED: bool>(
+    fn add<S: Simd, T: Real, const WEIGHTED: bool>(
         &self,
-        sums: &mut [[T; N]; MAX_SLOTS],
-        m: &[T; N],
-        v: T,
-        w: &[T; N],
+        simd: S,
+        sums: &mut [T::Vector<S>],
+        m: T::Vector<S>,
+        v: T::Vector<S>,
+        w: T::Vector<S>,
     ) {
-        for l in 0..N {
-            let r = (m[l] - v).magnitude();
-            sums[0][l] = if WEIGHTED { T::fma::<FUSED>(w[l], r, sums[0][l]) } else { sums[0][l] + r };
-        }
+        let r = T::abs(simd, T::sub(simd, m, v));
+        sums[0] = if WEIGHTED { T::fma(simd, w, r, sums[0]) } else { T::add(simd, sums[0], r) };
     }
 
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
@@ -396,19 +394,18 @@ impl Measure for Prod {
     const SLOTS_WEIGHTED: usize = 1;
 
     #[inline(always)]
-    fn add<T: Real, const N: usize, const FUSED: bool, const WEIGHTED: bool>(
+    fn add<S: Simd, T: Real, const WEIGHTED: bool>(
         &self,
-        sums: &mut [[T; N]; MAX_SLOTS],
-        m: &[T; N],
-        v: T,
-        w: &[T; N],
+        simd: S,
+        sums: &mut [T::Vector<S>],
+        m: T::Vector<S>,
+        v: T::Vector<S>,
+        w: T::Vector<S>,
     ) {
-        let level = T::from_f64(self.level);
-        let v = v - level;
-        for l in 0..N {
-            let q = if WEIGHTED { v * w[l] } else { v };
-            sums[0][l] = T::fma::<FUSED>(q, m[l] - level, sums[0][l]);
-        }
+        let level = T::splat(simd, T::from_f64(self.level));
+        let v = T::sub(simd, v, level);
+        let q = if WEIGHTED { T::mul(simd, v, w) } else { v };
+        sums[0] = T::fma(simd, q, T::sub(simd, m, level), sums[0]);
     }
 
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
@@ -431,25 +428,23 @@ impl Measure for Ncc {
     const SLOTS_WEIGHTED: usize = 5;
 
     #[inline(always)]
-    fn add<T: Real, const N: usize, const FUSED: bool, const WEIGHTED: bool>(
+    fn add<S: Simd, T: Real, const WEIGHTED: bool>(
         &self,
-        sums: &mut [[T; N]; MAX_SLOTS],
-        m: &[T; N],
-        v: T,
-        w: &[T; N],
+        simd: S,
+        sums: &mut [T::Vector<S>],
+        m: T::Vector<S>,
+        v: T::Vector<S>,
+        w: T::Vector<S>,
     ) {
-        let level = T::from_f64(self.level);
-        for l in 0..N {
-            let m = m[l] - level;
-            let q = if WEIGHTED { m * w[l] } else { m };
-            sums[0][l] = sums[0][l] + q;
-            sums[1][l] = T::fma::<FUSED>(q, m, sums[1][l]);
-            sums[2][l] = T::fma::<FUSED>(q, v, sums[2][l]);
-            if WEIGHTED {
-                let u = v * w[l];
-                sums[3][l] = sums[3][l] + u;
-                sums[4][l] = T::fma::<FUSED>(u, v, sums[4][l]);
-            }
+        let m = T::sub(simd, m, T::splat(simd, T::from_f64(self.level)));
+        let q = if WEIGHTED { T::mul(simd, m, w) } else { m };
+        sums[0] = T::add(simd, sums[0], q);
+        sums[1] = T::fma(simd, q, m, sums[1]);
+        sums[2] = T::fma(simd, q, v, sums[2]);
+        if WEIGHTED {
+            let u = T::mul(simd, v, w);
+            sums[3] = T::add(simd, sums[3], u);
+            sums[4] = T::fma(simd, u, v, sums[4]);
         }
     }
 

@@ -12,6 +12,7 @@ use crate::grid::GridMap;
 use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
 use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
+use crate::matching::starts::Starts;
 use crate::matching::transform::Transform;
 use crate::track::Track;
 
@@ -137,7 +138,13 @@ impl SlidingState {
         let scene = Scene::new(&channels, track, None)?;
         let matcher = Iccp::new(&scene, &self.options)?;
         let starts = self.starts(map, track, &scene);
-        let outcomes: Vec<_> = starts.iter().map(|&start| matcher.run(start)).collect();
+        // A place that is already a minimum of the misfit, or the best of a lattice, has nothing to gain from contours.
+        let known = self.last.is_some() || matches!(self.options.starts, Starts::Grid { .. });
+        let outcomes: Vec<_> = if self.options.refine && known {
+            Vec::new()
+        } else {
+            starts.iter().map(|&start| matcher.run(start)).collect()
+        };
         let in_reach = winner(&outcomes).filter(|&best| outcomes[best].end != End::OutOfReach);
         let (fix, transform, distance_squared) = if self.options.refine {
             let motions: Vec<Motion> = starts

@@ -1,0 +1,110 @@
+"""Every code block of the documentation runs: Python in one namespace a page, commands in its folder.
+
+A page goes on from the files that the pages named in NEEDS have written. `sh` blocks are set-up for people: not run.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted(p for p in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md"] if "_build" not in p.parts)
+FENCE = re.compile(
+    r"^(?P<tick>```+)(?P<kind>\{code-cell\}|python|console)[^\n]*\n(?P<body>.*?)^(?P=tick)\s*$", re.M | re.S
+)
+# Pages whose commands work on files that another page makes.
+NEEDS = {"command-line.md": "tutorial.md"}
+
+
+def blocks(page: Path) -> list[tuple[str, str, int]]:
+    """Kind, text and line of every block that is to run."""
+    text = page.read_text(encoding="utf-8")
+    found = []
+    for match in FENCE.finditer(text):
+        body = "".join(line for line in match["body"].splitlines(keepends=True) if not line.startswith(":"))
+        kind = "console" if match["kind"] == "console" else "python"
+        found.append((kind, body, text[: match.start()].count("\n") + 2))
+    return found
+
+
+def commands(body: str) -> list[str]:
+    """Command lines of a console block: those after a dollar sign, continuations joined."""
+    joined = re.sub(r"\\\n(> )?", "", body)
+    return [line[2:] for line in joined.splitlines() if line.startswith("$ ")]
+
+
+def run_page(page: Path) -> None:
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    namespace: dict[str, object] = {"__name__": "__docs__"}
+    for kind, body, line in blocks(page):
+        if kind == "python":
+            code = compile("\n" * (line - 1) + body, str(page), "exec")
+            exec(code, namespace)
+            continue
+        for command in commands(body):
+            shell = re.sub(r"(^|\| )geomag\b", rf"\1{shlex.quote(sys.executable)} -m geomag", command)
+            done = subprocess.run(shell, shell=True, capture_output=True, text=True, timeout=300, check=False)
+            assert done.returncode in ((0, 3) if "stream" in command else (0,)), (
+                f"{page.name}, line {line}: {command}\n{done.stdout}\n{done.stderr}"
+            )
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_block_runs(page, tmp_path, monkeypatch):
+    text = page.read_text(encoding="utf-8")
+    for library in (
+        "matplotlib",
+        "xarray",
+        "pandas",
+        "verde",
+        "ppigrf",
+        "boule",
+        "geopandas",
+        "distributed",
+        "netCDF4",
+    ):
+        if library in text:
+            pytest.importorskip(library)
+    if "GEOMAG_DATA" in text or "shared/data" in text:
+        data = Path(os.environ.get("GEOMAG_DATA", ROOT.parent / "shared" / "data"))
+        if not data.is_dir():
+            pytest.skip(f"{page.name} works on survey data, and there is none at {data}")
+        monkeypatch.setenv("GEOMAG_DATA", str(data))
+    monkeypatch.chdir(tmp_path)
+    if page.name in NEEDS:
+        run_page(page.with_name(NEEDS[page.name]))
+    run_page(page)
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is not None:
+        pyplot.close("all")
+
+
+def test_every_link_between_pages_leads_somewhere():
+    broken = []
+    for page in PAGES:
+        prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", prose):
+            if target.startswith("../geomag_core"):
+                continue  # put there by make docs
+            if not (page.parent / target).exists():
+                broken.append(f"{page.relative_to(ROOT)} -> {target}")
+    assert not broken, broken
+
+
+def test_every_page_is_on_the_site():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^([\w\-/*]+)$", index, re.M)
+    for page in PAGES:
+        if page.parent == ROOT or page.name.startswith("_") or page.name == "index.md":
+            continue
+        name = str(page.relative_to(ROOT / "docs").with_suffix(""))
+        assert any(name == e or (e.endswith("*") and name.startswith(e[:-1])) for e in entries), (
+            f"{name} is on no toctree"
+        )
