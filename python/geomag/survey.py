@@ -159,7 +159,7 @@ def line_spacing_m(lines: Lines) -> float:
     if length == 0.0:
         raise TooFewSamplesError("lines: needed lines of at least 2 points each, got single points")
     # The area is counted in boxes a few spacings wide, which a line crosses wherever there are lines at all.
-    box = np.sqrt(np.ptp(lines.x) * east * np.ptp(lines.y) * north) / 50 + 1e-9
+    box = max(np.ptp(lines.x) * east, np.ptp(lines.y) * north) / 50
     boxes = np.unique(np.column_stack([np.floor(lines.x * east / box), np.floor(lines.y * north / box)]), axis=0)
     return float(len(boxes) * box * box / length)
 

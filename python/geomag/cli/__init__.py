@@ -59,7 +59,7 @@ def _main(
         context.default_map = read_settings(settings, context.command)
 
 
-from geomag.cli import demo, field, info, match, reproduce, stream  # noqa: E402, F401 - each registers its command on `app`
+from geomag.cli import calibrate, demo, field, info, match, reproduce, stream  # noqa: E402, F401 - each registers its command on `app`
 
 
 def run(arguments: Sequence[str]) -> int:
