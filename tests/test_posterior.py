@@ -115,12 +115,19 @@ def test_error_model_stays_with_the_map(grid):
 
 @pytest.mark.parametrize(
     ("extra", "told"),
-    [({}, {}), ({"bias": 50.0}, {}), ({"outlier_share": 0.05, "outlier": 50.0}, {}), ({"heading_deg": 1.0}, {}),
-     ({"drift_m": 50.0}, {})],
+    [
+        ({}, {}),
+        ({"bias": 50.0}, {}),
+        ({"outlier_share": 0.05, "outlier": 50.0}, {}),
+        ({"heading_deg": 1.0}, {}),
+        ({"drift_m": 50.0}, {}),
+    ],
     ids=["plain", "bias", "outliers", "heading", "drift"],
 )
 def test_declared_risk_holds_in_simulation(grid, extra, told):
-    result = calibrate_simulated(grid, sigma=1.0, half_width_m=1000, tolerance_m=100, samples=25, trials=300, **extra, **told)
+    result = calibrate_simulated(
+        grid, sigma=1.0, half_width_m=1000, tolerance_m=100, samples=25, trials=300, **extra, **told
+    )
     summary = result.summary()
     assert summary["fixed"] > 0.5
     ok = result.fixed
@@ -132,7 +139,12 @@ def test_prediction_bounds_what_happens(grid):
     tracks = [flight(grid, (0, 0), seed=s) for s in range(60)]
     predicted = geomag.predict_many(grid, tracks, half_width=500, sigma=0.5, tolerance_m=300, flights=0)
     result = assess(
-        grid, tracks, np.array([[t.x[-1], t.y[-1]] for t in tracks]), name="routes", half_width_m=500, tolerance_m=300,
+        grid,
+        tracks,
+        np.array([[t.x[-1], t.y[-1]] for t in tracks]),
+        name="routes",
+        half_width_m=500,
+        tolerance_m=300,
         sigma=0.5,
     )
     ok = result.fixed
@@ -143,7 +155,15 @@ def test_prediction_bounds_what_happens(grid):
 
 def test_suitability_has_layers_of_the_right_shape(grid, tmp_path):
     found = suitability(
-        grid, spacing_m=150, half_width_m=500, tolerance_m=200, sigma=0.5, samples=15, places=3, flights=1, headings_deg=(0, 90)
+        grid,
+        spacing_m=150,
+        half_width_m=500,
+        tolerance_m=200,
+        sigma=0.5,
+        samples=15,
+        places=3,
+        flights=1,
+        headings_deg=(0, 90),
     )
     assert found.sigma_m.shape == found.fix_probability.shape == (2, 3, 3)
     assert np.nanmax(found.fix_probability) <= 1

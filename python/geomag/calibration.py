@@ -9,6 +9,7 @@ probability of a fix.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,16 +73,23 @@ class Calibration:
         """One row a risk bin: tracks, mean declared risk, observed wrong share, its 95 % Wilson interval."""
         stated = ~np.isin(self.status, _NO_STATEMENT)
         rows = []
-        for low, high in zip(bins[:-1], bins[1:], strict=True):
+        for low, high in itertools.pairwise(bins):
             inside = stated & (self.risk >= low) & (self.risk < high)
             n = int(inside.sum())
             wrong = int(np.sum(self.error_m[inside] > self.tolerance_m))
             below, above = wilson(wrong, n)
-            rows.append({
-                "low": low, "high": high, "n": n, "wrong": wrong,
-                "declared": float(self.risk[inside].mean()) if n else float("nan"),
-                "observed": wrong / n if n else float("nan"), "lower": below, "upper": above,
-            })
+            rows.append(
+                {
+                    "low": low,
+                    "high": high,
+                    "n": n,
+                    "wrong": wrong,
+                    "declared": float(self.risk[inside].mean()) if n else float("nan"),
+                    "observed": wrong / n if n else float("nan"),
+                    "lower": below,
+                    "upper": above,
+                }
+            )
         return rows
 
     def to_markdown(self) -> str:
@@ -122,7 +130,13 @@ class Calibration:
         high = np.array([r["upper"] for r in rows]) - y
         axes.errorbar(x, y, yerr=[np.maximum(low, 0), np.maximum(high, 0)], fmt="o", capsize=3, label="observed, 95 %")
         axes.plot([1e-4, 1], [1e-4, 1], "k--", lw=1, label="declared = observed")
-        axes.set(xscale="log", yscale="log", xlabel="declared risk", ylabel="observed share of wrong answers", title=self.name)
+        axes.set(
+            xscale="log",
+            yscale="log",
+            xlabel="declared risk",
+            ylabel="observed share of wrong answers",
+            title=self.name,
+        )
         axes.legend()
         figure.savefig(path, dpi=120)
         pyplot.close(figure)
@@ -157,7 +171,11 @@ def assess(
         raise TooFewSamplesError("tracks: needed at least 1, got 0")
     east, north = grid.metres_per_unit(float(np.mean(truth[:, 1])))
     fixes = match_posterior_many(
-        grid, tracks, half_width=(half_width_m / east, half_width_m / north), tolerance_m=tolerance_m, max_risk=max_risk,
+        grid,
+        tracks,
+        half_width=(half_width_m / east, half_width_m / north),
+        tolerance_m=tolerance_m,
+        max_risk=max_risk,
         **options,
     )
     n = len(fixes)
@@ -174,8 +192,15 @@ def assess(
         if covariance is not None and np.linalg.det(covariance) > 0:
             nees[i] = e @ np.linalg.solve(covariance, e)
     return Calibration(
-        name, tolerance_m, max_risk, risk, error, np.array([f.ok for f in fixes]), np.array([f.status for f in fixes]),
-        nees, np.array([f.n_samples for f in fixes]),
+        name,
+        tolerance_m,
+        max_risk,
+        risk,
+        error,
+        np.array([f.ok for f in fixes]),
+        np.array([f.status for f in fixes]),
+        nees,
+        np.array([f.n_samples for f in fixes]),
     )
 
 
@@ -207,8 +232,11 @@ def calibrate_lines(
     for k in range(folds):
         kept = [one for one, f in zip(pieces, fold, strict=True) if f != k]
         training = Lines(
-            np.concatenate([p.x for p in kept]), np.concatenate([p.y for p in kept]),
-            np.concatenate([p.values for p in kept]), np.concatenate([p.line for p in kept]), lines.geographic,
+            np.concatenate([p.x for p in kept]),
+            np.concatenate([p.y for p in kept]),
+            np.concatenate([p.values for p in kept]),
+            np.concatenate([p.line for p in kept]),
+            lines.geographic,
         )
         grid = map_from_lines(training, progress=progress, **map_options)
         windows = [
@@ -225,10 +253,17 @@ def calibrate_lines(
             tracks.append(Track(x - offset[0], y - offset[1], v))
             truth.append((x[-1], y[-1]))
         if tracks:
-            parts.append(assess(
-                grid, tracks, np.array(truth), name=name, half_width_m=half_width_m, tolerance_m=tolerance_m,
-                max_risk=max_risk,
-            ))
+            parts.append(
+                assess(
+                    grid,
+                    tracks,
+                    np.array(truth),
+                    name=name,
+                    half_width_m=half_width_m,
+                    tolerance_m=tolerance_m,
+                    max_risk=max_risk,
+                )
+            )
     if not parts:
         raise TooFewSamplesError(f"lines: needed a line of {samples} samples, {spacing_m:g} m apart, got none")
     arrays = {
@@ -293,12 +328,24 @@ def calibrate_simulated(
         turned = (path - path[-1]) * metres
         angle = np.radians(rng.normal(0, heading_deg))
         turned = turned @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).T
-        indicated = path[-1] + turned / metres - offset + age * drift_m * np.array([np.sin(away), np.cos(away)]) / metres
+        indicated = (
+            path[-1] + turned / metres - offset + age * drift_m * np.array([np.sin(away), np.cos(away)]) / metres
+        )
         tracks.append(Track(indicated[:, 0], indicated[:, 1], values))
         truth.append(path[-1])
     return assess(
-        grid, tracks, np.array(truth), name=name, half_width_m=half_width_m, tolerance_m=tolerance_m, max_risk=max_risk,
-        sigma=sigma, heading_sigma_deg=heading_deg, drift_sigma_m=drift_m / np.sqrt(2), streaming=streaming, **options,
+        grid,
+        tracks,
+        np.array(truth),
+        name=name,
+        half_width_m=half_width_m,
+        tolerance_m=tolerance_m,
+        max_risk=max_risk,
+        sigma=sigma,
+        heading_sigma_deg=heading_deg,
+        drift_sigma_m=drift_m / np.sqrt(2),
+        streaming=streaming,
+        **options,
     )
 
 
@@ -378,13 +425,22 @@ def suitability(
             for east in x:
                 tracks.append(
                     Track(
-                        east + along * np.sin(heading) / scale[0], north + along * np.cos(heading) / scale[1], np.zeros(samples)
+                        east + along * np.sin(heading) / scale[0],
+                        north + along * np.cos(heading) / scale[1],
+                        np.zeros(samples),
                     )
                 )
     scale = grid.metres_per_unit(float(np.mean(y)))
     found = predict_many(
-        grid, tracks, half_width=(half_width_m / scale[0], half_width_m / scale[1]), sigma=sigma, tolerance_m=tolerance_m,
-        flights=flights, seed=seed, progress=progress, **options,
+        grid,
+        tracks,
+        half_width=(half_width_m / scale[0], half_width_m / scale[1]),
+        sigma=sigma,
+        tolerance_m=tolerance_m,
+        flights=flights,
+        seed=seed,
+        progress=progress,
+        **options,
     )
     shape = (len(headings_deg), places, places)
 
@@ -393,6 +449,12 @@ def suitability(
         return np.array(values, dtype=float).reshape(shape)
 
     return Suitability(
-        x, y, np.array(headings_deg, dtype=float), layer(lambda p: float(np.sqrt(np.trace(p.covariance_m2)))),
-        layer(lambda p: p.samples_to_fix), layer(lambda p: p.fix_probability), spacing_m, grid.geographic,
+        x,
+        y,
+        np.array(headings_deg, dtype=float),
+        layer(lambda p: float(np.sqrt(np.trace(p.covariance_m2)))),
+        layer(lambda p: p.samples_to_fix),
+        layer(lambda p: p.fix_probability),
+        spacing_m,
+        grid.geographic,
     )

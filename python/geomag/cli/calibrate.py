@@ -40,14 +40,26 @@ def calibrate(
     if simulate:
         grid = read_grid(source, variable, geographic=geographic)
         result = calibrate_simulated(
-            grid, sigma=sigma, name=f"{source.name}, simulated, sigma {sigma:g}", half_width_m=half_width_m,
-            tolerance_m=tolerance_m, samples=samples, trials=trials, max_risk=max_risk,
+            grid,
+            sigma=sigma,
+            name=f"{source.name}, simulated, sigma {sigma:g}",
+            half_width_m=half_width_m,
+            tolerance_m=tolerance_m,
+            samples=samples,
+            trials=trials,
+            max_risk=max_risk,
         )
     else:
         lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic)
         result = calibrate_lines(
-            lines, name=source.name, half_width_m=half_width_m, tolerance_m=tolerance_m, spacing_m=spacing_m,
-            samples=samples, most=trials, max_risk=max_risk,
+            lines,
+            name=source.name,
+            half_width_m=half_width_m,
+            tolerance_m=tolerance_m,
+            spacing_m=spacing_m,
+            samples=samples,
+            most=trials,
+            max_risk=max_risk,
         )
     text = result.to_markdown()
     typer.echo(text)
@@ -67,7 +79,9 @@ def suitability(
     spacing_m: Annotated[float | None, typer.Option(help="Distance between samples, m.")] = None,
     speed: Annotated[float | None, typer.Option(help="Speed, m/s; with --interval it gives the spacing.")] = None,
     interval: Annotated[float, typer.Option(help="Time between samples, s.")] = 1.0,
-    tolerance_m: Annotated[float | None, typer.Option(help="Error beyond which a fix is wrong, m; default a cell.")] = None,
+    tolerance_m: Annotated[
+        float | None, typer.Option(help="Error beyond which a fix is wrong, m; default a cell.")
+    ] = None,
     sigma: Annotated[float | None, typer.Option(help="Sensor noise, map units.")] = None,
     samples: Annotated[int, typer.Option(help="Samples of a track.")] = 40,
     places: Annotated[int, typer.Option(help="Places along each axis.")] = 20,
@@ -88,8 +102,14 @@ def suitability(
         raise InvalidInputError("suitability: needed --spacing-m, or --speed with --interval, got neither")
     grid = read_grid(map, variable, geographic=geographic)
     found = over(
-        grid, spacing_m=spacing, half_width_m=half_width_m, tolerance_m=tolerance_m, sigma=sigma, samples=samples,
-        places=places, flights=flights,
+        grid,
+        spacing_m=spacing,
+        half_width_m=half_width_m,
+        tolerance_m=tolerance_m,
+        sigma=sigma,
+        samples=samples,
+        places=places,
+        flights=flights,
     )
     for k, heading in enumerate(found.heading_deg):
         known = np.isfinite(found.sigma_m[k])
