@@ -12,7 +12,6 @@ from typing import Any, TypeAlias
 from geomag._errors import InvalidInputError, MissingFileError, ReadError
 from geomag._versions import write_record
 
-
 #: A command of click, or of the copy that recent versions of typer carry.
 Command: TypeAlias = Any
 
