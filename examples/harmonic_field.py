@@ -39,7 +39,7 @@ navigator = geomag.FieldNavigator(
 )
 truth = np.zeros(2)
 for _ in range(600):
-    truth = truth + [3.0, 2.0]
+    truth += np.array([3.0, 2.0])
     reading = model.field(truth[1], truth[0], -100.0) + rng.normal(size=3)
     step = navigator.step(1.0, np.hypot(3.0, 2.0), np.degrees(np.arctan2(3.0, 2.0)), reading)
 print(step, f"error {np.hypot(step.x - truth[0], step.y - truth[1]):.1f} m")

@@ -1,5 +1,5 @@
 //! ICCP, its refinement, the sliding window and tuning, on one smooth map of 800 x 800 nodes at 250 m.
-#![allow(missing_docs)]
+#![allow(missing_docs, clippy::expect_used)]
 
 use std::hint::black_box;
 

@@ -43,6 +43,11 @@ class GridMap:
     def values(self) -> NDArray[np.float32] | Floats: ...
     @property
     def sigma(self) -> float | Floats | None: ...
+    def with_error_model(
+        self, *, nu: float, scale_spread: float, correlation: float, registration: float, distance_m: ArrayLike
+    ) -> GridMap: ...
+    @property
+    def error_model(self) -> dict[str, Any] | None: ...
     @property
     def shape(self) -> tuple[int, int]: ...
     @property
@@ -923,3 +928,148 @@ class FieldNavigator:
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
     def _restore(sensor: FieldSensor, bytes: bytes) -> FieldNavigator: ...
+
+# Calibrated matching.
+
+def match_posterior(
+    grid: GridMap,
+    track: Track,
+    *,
+    half_width: Pair,
+    sigma: float | None = None,
+    tolerance_m: float | None = None,
+    max_risk: float = 0.01,
+    step: Pair | None = None,
+    bias_sigma: float | None = None,
+    drift_sigma_m: float = 0.0,
+    heading_sigma_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    position_sigma_m: float = 0.0,
+    nu: float | None = None,
+    min_overlap: float = 0.8,
+    min_goodness: float = 0.001,
+    max_candidates: int = 4_000_000,
+    surface: bool = False,
+    more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
+) -> Fix: ...
+def match_posterior_many(
+    grid: GridMap,
+    tracks: Sequence[Track],
+    *,
+    half_width: Pair,
+    sigma: float | None = None,
+    tolerance_m: float | None = None,
+    max_risk: float = 0.01,
+    step: Pair | None = None,
+    bias_sigma: float | None = None,
+    drift_sigma_m: float = 0.0,
+    heading_sigma_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    position_sigma_m: float = 0.0,
+    nu: float | None = None,
+    min_overlap: float = 0.8,
+    min_goodness: float = 0.001,
+    max_candidates: int = 4_000_000,
+    streaming: bool = False,
+    progress: Progress = None,
+) -> list[Fix]: ...
+def predict_many(
+    grid: GridMap,
+    tracks: Sequence[Track],
+    *,
+    half_width: Pair,
+    sigma: float | None = None,
+    tolerance_m: float | None = None,
+    max_risk: float = 0.01,
+    bias_sigma: float | None = None,
+    drift_sigma_m: float = 0.0,
+    heading_sigma_deg: float = 0.0,
+    scale_sigma: float = 0.0,
+    nu: float | None = None,
+    flights: int = 20,
+    seed: int = 0,
+    progress: Progress = None,
+) -> list[Prediction | None]: ...
+@final
+class PosteriorStep:
+    @property
+    def status(self) -> Status: ...
+    @property
+    def n_feasible(self) -> int: ...
+    @property
+    def extent(self) -> tuple[float, float]: ...
+    @property
+    def risk(self) -> float: ...
+    @property
+    def fix(self) -> Fix | None: ...
+
+@final
+class PosteriorMatcher:
+    def __new__(
+        cls,
+        grid: GridMap,
+        *,
+        half_width: Pair,
+        sigma: float | None = None,
+        tolerance_m: float | None = None,
+        max_risk: float = 0.01,
+        step: Pair | None = None,
+        bias_sigma: float | None = None,
+        drift_sigma_m: float = 0.0,
+        heading_sigma_deg: float = 0.0,
+        scale_sigma: float = 0.0,
+        position_sigma_m: float = 0.0,
+        nu: float | None = None,
+        min_overlap: float = 0.8,
+        min_goodness: float = 0.001,
+        max_candidates: int = 4_000_000,
+        max_samples: int = 200,
+    ) -> PosteriorMatcher: ...
+    def update(self, x: float, y: float, value: float) -> PosteriorStep: ...
+    def run(self, track: Track) -> Fix: ...
+    def fix(self) -> Fix: ...
+    def reset(self) -> None: ...
+    @property
+    def n_samples(self) -> int: ...
+    @property
+    def n_feasible(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(grid: GridMap, state: bytes) -> PosteriorMatcher: ...
+
+@final
+class Prediction:
+    @property
+    def bound_m2(self) -> Floats: ...
+    @property
+    def covariance_m2(self) -> Floats: ...
+    @property
+    def samples_to_fix(self) -> int | None: ...
+    @property
+    def fix_probability(self) -> float: ...
+    @property
+    def wrong_share(self) -> float: ...
+    @property
+    def flights(self) -> int: ...
+
+# Behind geomag.survey.
+
+def _minimum_curvature(
+    x: ArrayLike,
+    y: ArrayLike,
+    values: ArrayLike,
+    x_axis: tuple[float, float, int],
+    y_axis: tuple[float, float, int],
+    *,
+    aspect: float,
+    sweeps: int = 400,
+    progress: Progress = None,
+) -> Floats: ...
+def _distance_to_data(
+    x: ArrayLike,
+    y: ArrayLike,
+    x_axis: tuple[float, float, int],
+    y_axis: tuple[float, float, int],
+    *,
+    cell_m: tuple[float, float],
+) -> Floats: ...

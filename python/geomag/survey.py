@@ -81,7 +81,9 @@ class Lines:
         for name in ("x", "y", "values"):
             bad = np.flatnonzero(~np.isfinite(getattr(self, name)))
             if bad.size:
-                raise InvalidInputError(f"lines {name}[{bad[0]}]: needed a finite number, got {getattr(self, name)[bad[0]]}")
+                raise InvalidInputError(
+                    f"lines {name}[{bad[0]}]: needed a finite number, got {getattr(self, name)[bad[0]]}"
+                )
         if self.x.size == 0:
             raise TooFewSamplesError("lines: needed at least 1 point, got 0")
 
@@ -158,10 +160,19 @@ def line_spacing_m(lines: Lines) -> float:
         length += float(np.sum(np.hypot(np.diff(one.x) * east, np.diff(one.y) * north)))
     if length == 0.0:
         raise TooFewSamplesError("lines: needed lines of at least 2 points each, got single points")
-    # The area is counted in boxes a few spacings wide, which a line crosses wherever there are lines at all.
-    box = np.sqrt(np.ptp(lines.x) * east * np.ptp(lines.y) * north) / 50 + 1e-9
-    boxes = np.unique(np.column_stack([np.floor(lines.x * east / box), np.floor(lines.y * north / box)]), axis=0)
-    return float(len(boxes) * box * box / length)
+    # The area is counted in boxes a few spacings wide, which a line crosses wherever there are lines at all, and which divide
+    # the extent evenly, so that none lies half outside.
+    position = np.column_stack([(lines.x - lines.x.min()) * east, (lines.y - lines.y.min()) * north])
+    extent = np.maximum(position.max(axis=0), 1e-9 * position.max())
+    spacing, box = 0.0, float(extent.max()) / 50
+    for _ in range(3):
+        count = np.ceil(extent / box).astype(int)
+        boxes = np.unique(np.minimum((position / extent * count).astype(int), count - 1), axis=0)
+        spacing = float(len(boxes) * np.prod(extent / count) / length)
+        # A single line covers no area of its own: it is taken to stand for boxes as wide as they are long.
+        spacing = max(spacing, float(np.sqrt(np.prod(extent / count))) / 50) if np.all(count > 1) else box
+        box = 4 * spacing
+    return spacing
 
 
 def folds_of(lines: list[Lines], folds: int) -> npt.NDArray[np.int_]:
@@ -203,9 +214,7 @@ class _Axes:
     @staticmethod
     def of(grid: GridMap) -> _Axes:
         x, y = grid.x, grid.y
-        return _Axes(
-            (float(x[0]), grid.spacing[0], len(x)), (float(y[0]), grid.spacing[1], len(y)), grid.spacing_m
-        )
+        return _Axes((float(x[0]), grid.spacing[0], len(x)), (float(y[0]), grid.spacing[1], len(y)), grid.spacing_m)
 
     @property
     def cell(self) -> float:
@@ -298,7 +307,11 @@ class _Law:
 def _sigma(gradient: Array, curvature: Array, distance: Array, law: _Law, a: float, b: float, c: float) -> Array:
     line = LINE_ERROR_CELLS * law.cell
     return np.sqrt(
-        law.noise**2 + (a * distance / law.half_spacing) ** 2 + (line * gradient) ** 2 + (b * gradient * distance) ** 2 + (c * curvature * distance**2) ** 2
+        law.noise**2
+        + (a * distance / law.half_spacing) ** 2
+        + (line * gradient) ** 2
+        + (b * gradient * distance) ** 2
+        + (c * curvature * distance**2) ** 2
     )
 
 
@@ -364,7 +377,9 @@ class _Fold:
     windows: list[tuple[Array, Array, Array]]
 
 
-def _fold(lines: list[Lines], out: npt.NDArray[np.bool_], axes: _Axes, method: str, spacing_m: float, reach: float) -> _Fold:
+def _fold(
+    lines: list[Lines], out: npt.NDArray[np.bool_], axes: _Axes, method: str, spacing_m: float, reach: float
+) -> _Fold:
     kept = [one for one, left in zip(lines, out, strict=True) if not left]
     surface, distance = _grid(kept, axes, method)
     surface = np.where(distance <= reach, surface, np.nan)
@@ -400,6 +415,10 @@ def learn_errors(
     fewer than 20 windows can be made. Source: geomag's own.
     """
     pieces = lines.split()
+    if folds < 2 or len(pieces) < 2 * folds:
+        raise TooFewSamplesError(
+            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {len(pieces)}"
+        )
     spacing_m = line_spacing_m(lines)
     axes = _Axes.of(grid) if grid is not None else _Axes.over(lines, spacing)
     reach = 4 * spacing_m
@@ -448,7 +467,10 @@ def _layered(part: _Fold, law: _Law, abc: list[float]) -> tuple[GridMap, Array]:
     sigma = _sigma(part.gradient, part.curvature, part.distance, law, *abc)
     known = np.isfinite(part.base.values) & np.isfinite(sigma)
     layered = GridMap(
-        np.where(known, part.base.values, np.nan), part.base.x, part.base.y, geographic=part.base.geographic,
+        np.where(known, part.base.values, np.nan),
+        part.base.x,
+        part.base.y,
+        geographic=part.base.geographic,
         sigma=np.where(known, sigma, np.nan),
     )
     return layered, np.where(known, part.distance, np.nan)
@@ -482,7 +504,10 @@ def _try_correlations(
                 if not some:
                     continue
                 model = layered.with_error_model(
-                    nu=NU, scale_spread=SCALE_SPREAD, correlation=correlation, registration=REGISTRATION,
+                    nu=NU,
+                    scale_spread=SCALE_SPREAD,
+                    correlation=correlation,
+                    registration=REGISTRATION,
                     distance_m=distance,
                 )
                 fixes = match_posterior_many(model, some, half_width=half, tolerance_m=tolerance_m)
@@ -495,10 +520,14 @@ def _try_correlations(
                     losses.append(-np.log(risk if wrong else 1 - risk))
             unlikely = 0.5 * (np.log(correlation / CORRELATION_PRIOR[0]) / CORRELATION_PRIOR[1]) ** 2
             unlikely += 0.5 * (np.log(share / SHARE_PRIOR[0]) / SHARE_PRIOR[1]) ** 2
-            trials.append({
-                "correlation": correlation, "share": share, "loss": float(np.mean(losses)),
-                "total": float(np.sum(losses) + unlikely),
-            })
+            trials.append(
+                {
+                    "correlation": correlation,
+                    "share": share,
+                    "loss": float(np.mean(losses)),
+                    "total": float(np.sum(losses) + unlikely),
+                }
+            )
             if report is not None:
                 report(len(trials), total)
     return trials
@@ -518,11 +547,20 @@ def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
     sigma = _sigma(gradient, curvature, distance, law, model.floor, model.displacement, model.curvature)
     known = np.isfinite(values) & np.isfinite(sigma)
     layered = GridMap(
-        np.where(known, values, np.nan), grid.x, grid.y, geographic=grid.geographic,
-        sigma=np.where(known, sigma, np.nan), name=grid.name, units=grid.units, crs=grid.crs,
+        np.where(known, values, np.nan),
+        grid.x,
+        grid.y,
+        geographic=grid.geographic,
+        sigma=np.where(known, sigma, np.nan),
+        name=grid.name,
+        units=grid.units,
+        crs=grid.crs,
     )
     return layered.with_error_model(
-        nu=model.nu, scale_spread=model.scale_spread, correlation=model.correlation, registration=model.registration,
+        nu=model.nu,
+        scale_spread=model.scale_spread,
+        correlation=model.correlation,
+        registration=model.registration,
         distance_m=np.where(known, distance, np.nan),
     )
 

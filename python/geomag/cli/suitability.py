@@ -29,6 +29,10 @@ def suitability(
         float, typer.Option(help="Error of the map as a distance: its sigma is this times the gradient.")
     ] = 30.0,
     tolerance_m: Annotated[float, typer.Option(help="Two standard deviations within this are a fix, m.")] = 500.0,
+    flights: Annotated[
+        int, typer.Option(help="Also simulate this many calibrated flights at 12 x 12 places: the share that is fixed.")
+    ] = 0,
+    half_width_m: Annotated[float, typer.Option(help="Bound of the INS error of those flights, m.")] = 2000.0,
     out: Annotated[Path | None, typer.Option(help="Write the results to this netCDF file.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Write a picture of the worst heading to this file.")] = None,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
@@ -65,6 +69,20 @@ def suitability(
             minutes = float(np.nanmedian(count[good])) * interval / 60.0
             text += f", there {np.median(error[good]):.0f} m (median) after {minutes:.1f} min (median)"
         typer.echo(text)
+    if flights:
+        from geomag.calibration import suitability as simulate
+
+        over = simulate(
+            grid, spacing_m=speed * interval, half_width_m=half_width_m, tolerance_m=tolerance_m, sigma=sigma,
+            samples=samples, headings_deg=tuple(headings), places=12, flights=flights, progress=True,
+        )  # fmt: skip
+        for k, h in enumerate(over.heading_deg):
+            share = over.fix_probability[k][np.isfinite(over.fix_probability[k])]
+            told = f"{share.mean():.0%} of simulated flights are fixed" if share.size else "no simulated flight on the map"
+            typer.echo(f"heading {h:5.1f}  {told}")
+        if out is not None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            over.to_netcdf(out.with_name(out.stem + "_flights" + out.suffix))
     if out is not None:
         found.attrs.update(speed_m_s=speed, interval_s=interval, sigma=sigma, tolerance_m=tolerance_m)
         out.parent.mkdir(parents=True, exist_ok=True)

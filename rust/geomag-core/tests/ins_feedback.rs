@@ -80,7 +80,7 @@ fn six_hours_of_drift_with_good_poor_and_wrong_fixes() {
                     let sigma = [50.0, 150.0, 500.0][(3.0 * ins.rng.random::<f64>()) as usize];
                     is_wrong = ins.rng.random::<f64>() < 0.1;
                     let far = if is_wrong { 6000.0 } else { 0.0 };
-                    let (sin, cos) = (6.283 * ins.rng.random::<f64>()).sin_cos();
+                    let (sin, cos) = (std::f64::consts::TAU * ins.rng.random::<f64>()).sin_cos();
                     let e = ins.position[0] + sigma * ins.z() + far * sin;
                     let n = ins.position[1] + sigma * ins.z() + far * cos;
                     ([e, n], [[sigma * sigma, 0.0], [0.0, sigma * sigma]])

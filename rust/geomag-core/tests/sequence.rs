@@ -64,7 +64,7 @@ proptest! {
         quantum in 0.5..15.0_f64,
     ) {
         let along: Vec<f64> = gaps.iter().scan(0.0, |s, g| { *s += g; Some(*s) }).collect();
-        let values: Vec<f64> = along.iter().map(|s| amplitude * (s / wave * 6.283).sin()).collect();
+        let values: Vec<f64> = along.iter().map(|s| amplitude * (s / wave * std::f64::consts::TAU).sin()).collect();
         let rules = SequenceRules { quantum, cell_m: cell, min_cells: 1.0, energy_share: 0.96 };
         let chosen = choose_sequence(&along, &values, &rules).unwrap();
         let mut widest: f64 = 0.0;

@@ -123,7 +123,7 @@ pub fn match_posterior(
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
     bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
-    min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, progress = None))]
+    min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, streaming = false, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn match_posterior_many(
     py: Python<'_>,
@@ -143,6 +143,7 @@ pub fn match_posterior_many(
     min_overlap: f64,
     min_goodness: f64,
     max_candidates: u64,
+    streaming: bool,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<PyFix>> {
     let map = field(grid)?;
@@ -165,7 +166,11 @@ pub fn match_posterior_many(
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
     let units = tracks.len() as u64 * 4_000_000;
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
-        posterior::match_many(&*map, &tracks, sigma, &options, monitor)
+        if streaming {
+            posterior::stream_many(&map, &tracks, sigma, &options, monitor)
+        } else {
+            posterior::match_many(&*map, &tracks, sigma, &options, monitor)
+        }
     })?;
     Ok(fixes.into_iter().map(PyFix::from).collect())
 }

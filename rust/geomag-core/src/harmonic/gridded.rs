@@ -1,5 +1,8 @@
 //! The field on a regular grid at one level: the double sum separates into two small products.
 
+// Only what is inlined into the dispatched function is compiled for its instruction set.
+#![allow(clippy::inline_always)]
+
 use rayon::prelude::*;
 
 use super::RectangularHarmonicModel;

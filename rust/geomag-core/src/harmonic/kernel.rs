@@ -4,6 +4,9 @@
 //! number of threads. Vectors are as wide as the processor's, found at run time; the width does not change a lane's
 //! arithmetic, only the lack of a fused multiply-add does.
 
+// Only what is inlined into the dispatched function is compiled for its instruction set.
+#![allow(clippy::inline_always)]
+
 use std::f64::consts::{FRAC_2_PI, LOG2_E};
 
 use pulp::Simd;

@@ -89,8 +89,8 @@ fn agrees_with_the_formulas_term_by_term() {
         for (i, e) in model.evaluate(&positions, false).iter().enumerate() {
             let (potential, field) = oracle(&model, positions.at(i));
             assert_relative_eq!(e.potential, potential, epsilon = 1e-6, max_relative = 1e-12);
-            for k in 0..3 {
-                assert_relative_eq!(e.field[k], field[k], epsilon = 1e-10);
+            for (found, expected) in e.field.iter().zip(field) {
+                assert_relative_eq!(*found, expected, epsilon = 1e-10);
             }
             assert_eq!(model.field_at(positions.at(i)), model.field(&positions, false)[i]);
         }
@@ -134,13 +134,13 @@ fn gradient_is_symmetric_and_traceless() {
 
 #[test]
 fn grid_and_points_agree() {
-    for (rows, columns) in [(1, 1), (7, 5), (33, 70)] {
+    for (rows, columns) in [(1_u16, 1_u16), (7, 5), (33, 70)] {
         let model = random_model(9, 21);
-        let north: Vec<f64> = (0..rows).map(|i| -4e4 + 1.9e3 * i as f64).collect();
-        let east: Vec<f64> = (0..columns).map(|j| -4.1e4 + 1.2e3 * j as f64).collect();
+        let north: Vec<f64> = (0..rows).map(|i| -4e4 + 1.9e3 * f64::from(i)).collect();
+        let east: Vec<f64> = (0..columns).map(|j| -4.1e4 + 1.2e3 * f64::from(j)).collect();
         let grid = model.field_grid(&north, &east, -1234.5, false).unwrap();
         for (k, node) in grid.iter().enumerate() {
-            let point = model.field_at([north[k / columns], east[k % columns], -1234.5]);
+            let point = model.field_at([north[k / east.len()], east[k % east.len()], -1234.5]);
             for c in 0..3 {
                 assert!(
                     (node[c] - point[c]).abs() < 1e-10 || (node[c].is_nan() && point[c].is_nan()),

@@ -85,7 +85,7 @@ pub fn chi_square_quantile(p: f64, dof: usize) -> Result<f64> {
 
 /// Logarithm of gamma(dof / 2), by recurrence from gamma(1/2) and gamma(1).
 fn ln_gamma_half(dof: usize) -> f64 {
-    let (mut value, mut k) = if dof % 2 == 0 { (0.0, 2) } else { (0.5 * std::f64::consts::PI.ln(), 1) };
+    let (mut value, mut k) = if dof.is_multiple_of(2) { (0.0, 2) } else { (0.5 * std::f64::consts::PI.ln(), 1) };
     while k < dof {
         value += (0.5 * k as f64).ln();
         k += 2;

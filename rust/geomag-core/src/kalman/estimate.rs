@@ -116,9 +116,9 @@ impl Estimate {
     }
 
     /// Takes a new mean and a covariance given as columns whose outer products add up to it.
-    pub(super) fn replace(&mut self, mean: DVector<f64>, columns: DMatrix<f64>) -> Result<()> {
+    pub(super) fn replace(&mut self, mean: DVector<f64>, columns: &DMatrix<f64>) -> Result<()> {
         require_finite("predicted state", mean.as_slice())?;
-        let mut factor = triangular(&columns);
+        let mut factor = triangular(columns);
         require_finite("predicted covariance", factor.as_slice())?;
         let raised = raise_pivots(&mut factor, &self.factor);
         self.mean = mean;
@@ -146,12 +146,12 @@ impl Estimate {
     pub(super) fn correct(
         &mut self,
         residual: DVector<f64>,
-        joint: DMatrix<f64>,
+        joint: &DMatrix<f64>,
         gate: Option<f64>,
     ) -> Result<Innovation> {
         let (m, n) = (residual.len(), self.len());
         require_finite("innovation", residual.as_slice())?;
-        let lower = triangular(&joint);
+        let lower = triangular(joint);
         require_finite("joint covariance of measurement and state", lower.as_slice())?;
         let mut root = lower.view((0, 0), (m, m)).into_owned();
         for i in 0..m {

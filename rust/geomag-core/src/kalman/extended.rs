@@ -74,7 +74,7 @@ impl ExtendedKalmanFilter {
         let mut columns = DMatrix::zeros(n, 2 * n);
         columns.view_mut((0, 0), (n, n)).copy_from(&(jacobian * &self.estimate.factor));
         columns.view_mut((0, n), (n, n)).copy_from(&noise);
-        self.estimate.replace(DVector::from_column_slice(state), columns)
+        self.estimate.replace(DVector::from_column_slice(state), &columns)
     }
 
     /// Takes in a measurement `z` expected to be `expected = h(x)` with the Jacobian of `h` (row-major, m x n) and noise
@@ -106,7 +106,7 @@ impl ExtendedKalmanFilter {
         joint.view_mut((m, 0), (n, n)).copy_from(&self.estimate.factor);
         joint.view_mut((0, n), (m, m)).copy_from(&noise);
         let residual = DVector::from_iterator(m, z.iter().zip(expected).map(|(z, e)| z - e));
-        let innovation = self.estimate.correct(residual, joint, gate)?;
+        let innovation = self.estimate.correct(residual, &joint, gate)?;
         Ok(self.innovation.insert(innovation))
     }
 }

@@ -170,7 +170,7 @@ impl UnscentedKalmanFilter {
             columns.view_mut((0, 0), (n, 2 * n)).copy_from(&spread.columns);
             columns.column_mut(2 * n).axpy(spread.centre.sqrt(), &spread.mean, 0.0);
             columns.view_mut((0, 2 * n + 1), (n, n)).copy_from(noise);
-            self.estimate.replace(mean, columns)?;
+            self.estimate.replace(mean, &columns)?;
         } else {
             let covariance = spread.covariance() + outer(noise);
             self.estimate.replace_full(mean, &covariance, "predicted covariance")?;
@@ -209,7 +209,7 @@ impl UnscentedKalmanFilter {
                     joint[(m + i, n + j)] = -away;
                 }
             }
-            self.estimate.correct(residual, joint, gate)?
+            self.estimate.correct(residual, &joint, gate)?
         } else {
             let factor = weight * &self.estimate.factor;
             let cross = &factor * (spread.columns.columns(0, n) - spread.columns.columns(n, n)).transpose();

@@ -6,6 +6,7 @@ use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
 use crate::fix::{Fix, Status, Surface};
 use crate::grid::Interpolation;
+use crate::kalman::chi_square_cdf;
 use crate::lattice::{Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Pivot, place_track};
 use crate::matching::local_fit::LocalFit;
 use crate::matching::similarity::{Criterion, Robust, Scoring};
@@ -109,6 +110,9 @@ impl GridSearch {
     }
 }
 
+/// Residuals less likely than this under the caller's own sigma are no fit, however much worse every other place is.
+const REJECT: f64 = 1e-6;
+
 /// A candidate refined below the lattice step.
 #[derive(Debug, Clone, Copy)]
 struct Refined {
@@ -134,7 +138,8 @@ struct Best {
 /// The best offset is refined by a quadratic through the scores around it. The covariance is Gauss-Newton's: noise over
 /// curvature, with the map's gradient along the matched track; measures without a noise model (product, Hausdorff) have
 /// none. The status is `at_edge` where the best lies on the border of the search, `ambiguous` where a place more than
-/// two map cells away fits nearly as well (see [`GridSearch::ambiguity`]), `uninformative` where the field is too flat.
+/// two map cells away fits nearly as well (see [`GridSearch::ambiguity`]), `uninformative` where the field is too flat, `rejected`
+/// where sigma is given and the residuals of a mean square difference are far beyond it.
 /// None of this is a calibrated risk.
 ///
 /// # Errors
@@ -214,8 +219,11 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         })
         .collect();
     let fit = LocalFit::new(field, track, search, &moved, &placements);
+    let goodness = search.goodness(refined.least, fit.samples);
     let status = if edge {
         Status::AtEdge
+    } else if goodness.is_some_and(|p| p < REJECT) {
+        Status::Rejected
     } else if fit.uninformative(field, &lattice, newest[1]) {
         Status::Uninformative
     } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, spread(track.values()))) {
@@ -227,6 +235,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     fix.heading_deg = heading_deg;
     fix.scale = scale;
     fix.bias = fit.bias;
+    fix.goodness = goodness;
     fix.covariance_m2 = fit.covariance_m2;
     fix.score = search.criterion.natural(refined.on_lattice);
     fix.runner_up = runner_up.map_or(f64::NAN, |r| search.criterion.natural(r.score));
@@ -268,6 +277,19 @@ fn search_surface(
 }
 
 impl GridSearch {
+    /// p-value of the residuals where the caller has said what their standard deviation is: chi-square, two positions
+    /// (and a mean) estimated.
+    fn goodness(&self, least: f64, samples: usize) -> Option<f64> {
+        let estimated = 2 + usize::from(self.remove_mean);
+        match (self.criterion, self.robust, self.sigma) {
+            (Criterion::Msd, None, Some(sigma)) if samples > estimated && self.weights.is_none() => {
+                let chi_square = samples as f64 * least / (sigma * sigma);
+                Some(1.0 - chi_square_cdf(chi_square, samples - estimated))
+            }
+            _ => None,
+        }
+    }
+
     /// Whether a runner-up is too near. With a noise model: its likelihood, half of the samples counted as independent
     /// (their errors are not), is more than `ambiguity` of the best's. Without: its score is within a twentieth.
     ///

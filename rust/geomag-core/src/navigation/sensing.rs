@@ -69,10 +69,11 @@ impl Sensing {
         if let Sensor::Scalar(quantity) = sensor {
             quantity.validate()?;
         }
-        let source = Source::Harmonic { model: Arc::clone(&model), sensor, level };
+        let shared = Arc::clone(&model);
+        let source = Source::Harmonic { model, sensor, level };
         let mut sensing = Self { source, sigma: Vec::new(), largest_sigma: Vec::new() };
-        if model.has_covariance() {
-            sensing.sigma = sensing.sigma_maps(&model, level)?;
+        if shared.has_covariance() {
+            sensing.sigma = sensing.sigma_maps(&shared, level)?;
             sensing.largest_sigma = sensing
                 .sigma
                 .iter()

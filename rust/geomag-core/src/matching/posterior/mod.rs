@@ -17,6 +17,10 @@
 //! Laplace's method, Tierney and Kadane, J. Am. Stat. Assoc. 81 (1986) 82; tempering by the effective number of samples of an AR(1)
 //! series, Bartlett, J. Roy. Stat. Soc. 98 (1935) 536. The error model of gridded surveys is geomag's own.
 
+// Formulas read better without code marks; lanes and small matrices are indexed as the formulas are; what is dispatched to an
+// instruction set must be inlined there.
+#![allow(clippy::doc_markdown, clippy::needless_range_loop, clippy::inline_always)]
+
 mod decide;
 mod kernel;
 mod model;
@@ -24,10 +28,14 @@ mod patch;
 mod predict;
 mod search;
 mod streaming;
+#[cfg(test)]
+mod tests;
 
 pub use model::{Channel, PosteriorOptions};
 pub use predict::{Prediction, predict, predict_many};
 pub use streaming::{PosteriorMatcher, PosteriorStep};
+
+use std::sync::Arc;
 
 use crate::error::Result;
 use crate::field::Field;
@@ -100,6 +108,40 @@ pub fn match_many(
         monitor.advance(fixes.len() as u64, tracks.len() as u64)?;
         let some: Result<Vec<Fix>> =
             batch.par_iter().map(|track| match_posterior(field, track, sigma, options)).collect();
+        fixes.extend(some?);
+    }
+    Ok(fixes)
+}
+
+/// Streams many tracks, each until its first fix or its end, in parallel; the answers are in the order of the tracks.
+///
+/// `n_samples` of an answer says how many samples the fix took.
+///
+/// # Errors
+/// The first error of any track, or [`Error::Interrupted`](crate::error::Error::Interrupted).
+pub fn stream_many(
+    field: &Arc<dyn Field>,
+    tracks: &[Track],
+    sigma: Option<f64>,
+    options: &PosteriorOptions,
+    monitor: &dyn Monitor,
+) -> Result<Vec<Fix>> {
+    let mut fixes = Vec::with_capacity(tracks.len());
+    for batch in tracks.chunks(MANY) {
+        monitor.advance(fixes.len() as u64, tracks.len() as u64)?;
+        let some: Result<Vec<Fix>> = batch
+            .par_iter()
+            .map(|track| {
+                let mut matcher = PosteriorMatcher::new(field.clone(), sigma, options.clone(), track.len().max(3))?;
+                for k in 0..track.len() {
+                    let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
+                    if let Some(fix) = step.fix.filter(Fix::ok) {
+                        return Ok(fix);
+                    }
+                }
+                matcher.fix()
+            })
+            .collect();
         fixes.extend(some?);
     }
     Ok(fixes)

@@ -1,5 +1,7 @@
 //! From likelihoods to a posterior over offsets: stages, error levels, correlation and registration.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
@@ -61,7 +63,7 @@ pub(super) struct Problem<'a> {
 }
 
 struct Prepared {
-    patch: Patch,
+    patch: Arc<Patch>,
     values: Vec<f64>,
     noise: Noise,
     cell_m: [f64; 2],
@@ -70,6 +72,16 @@ struct Prepared {
 impl<'a> Problem<'a> {
     /// Checks the input and lays out the maps.
     pub fn new(channels: &[Channel<'a>], track: &Track, options: &'a PosteriorOptions) -> Result<Self> {
+        Self::on(channels, track, options, None)
+    }
+
+    /// The same, on a window of the first map that was laid out before and covers all candidates.
+    pub fn on(
+        channels: &[Channel<'a>],
+        track: &Track,
+        options: &'a PosteriorOptions,
+        laid_out: Option<&Arc<Patch>>,
+    ) -> Result<Self> {
         options.validate()?;
         let Some(first) = channels.first() else {
             return Err(Error::invalid("channels", "at least one map with its values", "none"));
@@ -120,7 +132,10 @@ impl<'a> Problem<'a> {
                     if channel.field.geographic() { "degrees" } else { "metres" },
                 ));
             }
-            let patch = Patch::new(channel.field, low, high);
+            let patch = match laid_out {
+                Some(patch) if index == 0 => Arc::clone(patch),
+                _ => Arc::new(Patch::new(channel.field, low, high)),
+            };
             let values = channel.values.iter().map(|v| v - patch.level).collect();
             let noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
@@ -135,16 +150,20 @@ impl<'a> Problem<'a> {
         lattice(self.cell, self.options)
     }
 
-    /// The offsets worth keeping, in order: those within the refinement's own depth of the best.
-    pub fn prune(&self, offsets: Vec<[f64; 2]>, step: [f64; 2]) -> Vec<[f64; 2]> {
-        let joint = !self.nuisance.shapes.is_empty();
-        self.evaluate(offsets, step, !joint).survivors(2.0 * PRUNE)
-    }
-
     /// The posterior over `offsets`, refined around the modes unless the caller set the step.
     pub fn solve(&self, offsets: Vec<[f64; 2]>, step: [f64; 2]) -> Posterior {
+        self.refine(self.first_stage(offsets, step))
+    }
+
+    /// The posterior over `offsets` as they are, nuisance parameters as variance.
+    pub fn first_stage(&self, offsets: Vec<[f64; 2]>, step: [f64; 2]) -> Posterior {
+        self.evaluate(offsets, step, self.nuisance.shapes.is_empty())
+    }
+
+    /// Refines a first stage.
+    pub fn refine(&self, mut posterior: Posterior) -> Posterior {
         let joint = !self.nuisance.shapes.is_empty();
-        let mut posterior = self.evaluate(offsets, step, !joint);
+        let step = posterior.step;
         let mut stages = 1;
         let fixed_step = self.options.step.is_some();
         if fixed_step && joint {
@@ -152,7 +171,11 @@ impl<'a> Problem<'a> {
             posterior = self.evaluate(kept, step, true);
             stages += 1;
         }
-        while !fixed_step {
+        if fixed_step {
+            posterior.stages = stages;
+            return posterior;
+        }
+        loop {
             let step = posterior.step;
             let settled = !joint || stages > 1;
             if settled && self.fine_enough(&posterior) {
@@ -254,7 +277,9 @@ impl<'a> Problem<'a> {
         let best = log_p.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         if best.is_finite() {
             let total = log_p.iter().map(|lp| (lp - best).exp()).sum::<f64>().ln() + best;
-            log_p.iter_mut().for_each(|lp| *lp -= total);
+            for lp in &mut log_p {
+                *lp -= total;
+            }
         }
         let lattice2 = (0..2).map(|d| (step[d] * self.scale_m[d]).powi(2)).sum::<f64>() / 24.0;
         let blur_m = blur2.iter().map(|b| (b + lattice2).sqrt()).collect();
@@ -323,7 +348,9 @@ impl<'a> Problem<'a> {
                 - log_sum(v - 1, common);
         }
         let top = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        weights.iter_mut().for_each(|w| *w -= top);
+        for weight in &mut weights {
+            *weight -= top;
+        }
         let normalise: Vec<f64> = (0..noise.levels.len()).map(|v| log_sum(v, temper[v])).collect();
         for i in 0..log_p.len() {
             let (b, l) = lanes(i);
@@ -390,7 +417,9 @@ impl<'a> Problem<'a> {
         let loss = 1.0 + 1.0 / (level.nu * level.nu);
         let mut covariance = invert(temper);
         for (d, row) in covariance.iter_mut().enumerate() {
-            row.iter_mut().for_each(|v| *v *= loss);
+            for v in row.iter_mut() {
+                *v *= loss;
+            }
             row[d] += registration;
         }
         Expected {
@@ -452,6 +481,11 @@ impl Posterior {
             }
         }
         best
+    }
+
+    /// Offsets worth keeping after a first stage.
+    pub fn kept(&self) -> Vec<[f64; 2]> {
+        self.survivors(2.0 * PRUNE)
     }
 
     /// Offsets within `depth` of the best, the best [`SURVIVORS`] where there are more.

@@ -77,7 +77,7 @@ struct Candidate {
 pub struct PosteriorMatcher {
     field: Arc<dyn Field>,
     state: State,
-    patch: Option<([f64; 4], Patch)>,
+    patch: Option<([f64; 4], Arc<Patch>)>,
 }
 
 impl PosteriorMatcher {
@@ -149,10 +149,10 @@ impl PosteriorMatcher {
             return Ok(self.step(None));
         }
         self.state.next = s.seen + (n / 2).max(1);
-        let fix = self.fix()?;
+        let (fix, kept) = self.solve()?;
         self.state.status = fix.status;
         self.state.risk = fix.risk.unwrap_or(1.0);
-        self.prune()?;
+        self.prune(kept);
         Ok(self.step(Some(fix)))
     }
 
@@ -161,15 +161,22 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::TooFewSamples`] before the first sample.
     pub fn fix(&self) -> Result<Fix> {
+        Ok(self.solve()?.0)
+    }
+
+    /// The answer, and the candidates that the first stage of its search would keep.
+    fn solve(&self) -> Result<(Fix, Vec<[f64; 2]>)> {
         let s = &self.state;
         let track = self.track()?;
         if s.candidates.is_empty() {
-            return Ok(Fix::none(Status::Lost, s.x.len()));
+            return Ok((Fix::none(Status::Lost, s.x.len()), Vec::new()));
         }
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
-        let problem = Problem::new(&channels, &track, &s.options)?;
-        let posterior = problem.solve(s.candidates.iter().map(|c| c.offset).collect(), s.step);
-        Ok(decide::answer(&problem, &track, &posterior))
+        let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref().map(|(_, patch)| patch))?;
+        let first = problem.first_stage(s.candidates.iter().map(|c| c.offset).collect(), s.step);
+        let kept = first.kept();
+        let posterior = problem.refine(first);
+        Ok((decide::answer(&problem, &track, &posterior), kept))
     }
 
     /// Forgets all samples.
@@ -235,21 +242,32 @@ impl PosteriorMatcher {
         }
     }
 
-    /// The window of the map around a position, laid out anew only when the track has left it.
-    fn window(&mut self, x: f64, y: f64) {
+    /// The window of the map that the samples held can touch, laid out anew only when the track has left it.
+    fn window(&mut self) {
         let half = self.state.options.half_width;
-        let inside = self.patch.as_ref().is_some_and(|(b, _)| {
-            x - half[0] >= b[0] && x + half[0] <= b[1] && y - half[1] >= b[2] && y + half[1] <= b[3]
-        });
+        let mut needed = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
+        for (x, y) in self.state.x.iter().zip(&self.state.y) {
+            let x = self.field.wrap_x(*x);
+            needed[0] = needed[0].min(x - half[0]);
+            needed[1] = needed[1].max(x + half[0]);
+            needed[2] = needed[2].min(y - half[1]);
+            needed[3] = needed[3].max(y + half[1]);
+        }
+        let inside = self
+            .patch
+            .as_ref()
+            .is_some_and(|(b, _)| needed[0] >= b[0] && needed[1] <= b[1] && needed[2] >= b[2] && needed[3] <= b[3]);
         if !inside {
-            let b = [x - 2.0 * half[0], x + 2.0 * half[0], y - 2.0 * half[1], y + 2.0 * half[1]];
-            self.patch = Some((b, Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]])));
+            // Room to go on for as long as the search is wide, and half the track again.
+            let room = [half[0] + 0.25 * (needed[1] - needed[0]), half[1] + 0.25 * (needed[3] - needed[2])];
+            let b = [needed[0] - room[0], needed[1] + room[0], needed[2] - room[1], needed[3] + room[1]];
+            self.patch = Some((b, Arc::new(Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]]))));
         }
     }
 
     fn gate(&mut self, x: f64, y: f64, value: f64) -> Result<()> {
         let x = self.field.wrap_x(x);
-        self.window(x, y);
+        self.window();
         let channel = Channel { field: &*self.field, values: &self.state.values, sigma: self.state.sigma };
         let noise = Noise::new(&channel, &self.state.options)?;
         let Some((_, patch)) = &self.patch else { return Ok(()) };
@@ -302,23 +320,16 @@ impl PosteriorMatcher {
         Ok(())
     }
 
-    /// Drops the candidates that the posterior has ruled out.
-    fn prune(&mut self) -> Result<()> {
-        let track = self.track()?;
-        let s = &self.state;
-        let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
-        let problem = Problem::new(&channels, &track, &s.options)?;
-        let kept = problem.prune(s.candidates.iter().map(|c| c.offset).collect(), s.step);
+    /// Drops the candidates that the posterior has ruled out; `kept` is in the order of the candidates.
+    fn prune(&mut self, kept: Vec<[f64; 2]>) {
         let mut kept = kept.into_iter();
         let mut wanted = kept.next();
         self.state.candidates.retain(|c| {
-            if wanted == Some(c.offset) {
+            let found = wanted == Some(c.offset);
+            if found {
                 wanted = kept.next();
-                true
-            } else {
-                false
             }
+            found
         });
-        Ok(())
     }
 }

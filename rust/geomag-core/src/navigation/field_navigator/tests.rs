@@ -238,7 +238,9 @@ fn goes_on_bit_for_bit_after_a_save() {
             sensing.read(&[[100.0 + f64::from(k), 45.0]], &mut reading);
             navigator.step(1.0, 1.0, 90.0, Some(&reading)).unwrap()
         };
-        (1..30).for_each(|k| drop(step(&mut first, k)));
+        for k in 1..30 {
+            step(&mut first, k);
+        }
         let mut second = FieldNavigator::restore(sensing.clone(), &first.save().unwrap()).unwrap();
         for k in 30..60 {
             assert_eq!(step(&mut first, k), step(&mut second, k));

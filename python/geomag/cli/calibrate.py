@@ -1,0 +1,70 @@
+"""`geomag calibrate` and `geomag suitability`: does the declared risk hold, and where can one fix."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geomag.cli import app
+from geomag.io import read_grid
+
+
+@app.command(
+    epilog="Example: geomag calibrate lines.csv.gz --half-width-m 1000 --tolerance-m 200 --spacing-m 200 --plot out.png",
+)
+def calibrate(
+    source: Annotated[Path, typer.Argument(help="Survey lines (CSV), or with --simulate a map file.")],
+    half_width_m: Annotated[float, typer.Option(help="Bound of the INS error, m.")],
+    tolerance_m: Annotated[float, typer.Option(help="Error beyond which a fix is wrong, m.")],
+    spacing_m: Annotated[float, typer.Option(help="Distance between samples, m (lines only).")] = 200.0,
+    samples: Annotated[int, typer.Option(help="Samples of a track.")] = 40,
+    simulate: Annotated[bool, typer.Option(help="Fly over the map instead of matching left-out lines.")] = False,
+    sigma: Annotated[float, typer.Option(help="Sensor noise of the simulation, map units.")] = 1.0,
+    trials: Annotated[int, typer.Option(help="Most tracks.")] = 2000,
+    max_risk: Annotated[float, typer.Option(help="Risk up to which a fix is declared.")] = 0.01,
+    x: Annotated[str, typer.Option(help="Column of x or longitude.")] = "longitude",
+    y: Annotated[str, typer.Option(help="Column of y or latitude.")] = "latitude",
+    value: Annotated[str, typer.Option(help="Column of the values.")] = "total_field_anomaly_nt",
+    line: Annotated[str, typer.Option(help="Column of the line labels.")] = "line",
+    geographic: Annotated[bool, typer.Option(help="Coordinates are degrees.")] = True,
+    variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the report (Markdown) to this file.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Write the reliability diagram to this file.")] = None,
+) -> int:
+    """Report declared risk against observed errors, on left-out lines of a survey or on simulated flights."""
+    from geomag.calibration import calibrate_lines, calibrate_simulated
+    from geomag.survey import read_lines
+
+    if simulate:
+        grid = read_grid(source, variable, geographic=geographic)
+        result = calibrate_simulated(
+            grid,
+            sigma=sigma,
+            name=f"{source.name}, simulated, sigma {sigma:g}",
+            half_width_m=half_width_m,
+            tolerance_m=tolerance_m,
+            samples=samples,
+            trials=trials,
+            max_risk=max_risk,
+        )
+    else:
+        lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic)
+        result = calibrate_lines(
+            lines,
+            name=source.name,
+            half_width_m=half_width_m,
+            tolerance_m=tolerance_m,
+            spacing_m=spacing_m,
+            samples=samples,
+            most=trials,
+            max_risk=max_risk,
+        )
+    text = result.to_markdown()
+    typer.echo(text)
+    if out is not None:
+        out.write_text(text, encoding="utf-8")
+    if plot is not None:
+        result.plot(plot)
+    return 0

@@ -1,0 +1,215 @@
+use std::sync::Arc;
+
+use approx::assert_relative_eq;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_pcg::Pcg64Mcg;
+
+use super::*;
+use crate::fix::Status;
+use crate::grid::{GridMap, GridValues, MapSigma};
+use crate::track::Track;
+
+fn rough(seed: f64) -> GridMap {
+    let axis: Vec<f64> = (0..121).map(|i| 100.0 * f64::from(i)).collect();
+    let mut values = Vec::new();
+    for y in &axis {
+        for x in &axis {
+            let (x, y) = (x / 1000.0 + seed, y / 1000.0);
+            values.push(
+                60.0 * (1.7 * x).sin() * (1.3 * y).cos()
+                    + 40.0 * (2.9 * x + 1.1 * y).sin()
+                    + 25.0 * (3.7 * y - 0.6 * x).cos(),
+            );
+        }
+    }
+    GridMap::new(GridValues::F64(values), &axis, &axis, false).unwrap()
+}
+
+/// A track whose true offset is (east, north), with noise and a bias.
+fn flight(map: &GridMap, offset: [f64; 2], n: usize, sigma: f64, bias: f64, seed: u64) -> Track {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let heading: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+    let mut t = (Vec::new(), Vec::new(), Vec::new());
+    for k in 0..n {
+        let s = 150.0 * (k as f64 - 0.5 * n as f64);
+        let (x, y) = (6000.0 + s * heading.sin(), 6000.0 + s * heading.cos());
+        let noise: f64 = rng.sample(StandardNormal);
+        t.0.push(x - offset[0]);
+        t.1.push(y - offset[1]);
+        t.2.push(map.sample(x, y, crate::grid::Interpolation::Bilinear) + bias + sigma * noise);
+    }
+    Track::new(t.0, t.1, t.2, None).unwrap()
+}
+
+fn exact() -> GridMap {
+    rough(0.0).with_sigma(Some(MapSigma::Constant(0.0))).unwrap()
+}
+
+#[test]
+fn finds_the_offset_and_the_bias() {
+    let map = exact();
+    let track = flight(&map, [740.0, -310.0], 30, 0.5, 17.0, 3);
+    let mut options = PosteriorOptions::new([1000.0, 1000.0]);
+    options.tolerance_m = Some(100.0);
+    let fix = match_posterior(&map, &track, Some(0.5), &options).unwrap();
+    assert_eq!(fix.status, Status::Fixed);
+    assert!((fix.offset_m[0] - 740.0).hypot(fix.offset_m[1] + 310.0) < 30.0, "{:?}", fix.offset_m);
+    assert_relative_eq!(fix.bias.unwrap(), 17.0, epsilon = 2.0);
+    assert!(fix.risk.unwrap() < 0.01 && fix.goodness.unwrap() > 1e-3);
+}
+
+#[test]
+fn a_flat_field_is_no_fix() {
+    let axis: Vec<f64> = (0..60).map(|i| 100.0 * f64::from(i)).collect();
+    let map = GridMap::new(GridValues::F64(vec![3.0; 3600]), &axis, &axis, false).unwrap();
+    let x: Vec<f64> = (0..20).map(|k| 2000.0 + 100.0 * f64::from(k)).collect();
+    let track = Track::new(x, vec![3000.0; 20], vec![3.0; 20], None).unwrap();
+    let fix = match_posterior(&map, &track, Some(1.0), &PosteriorOptions::new([1000.0, 1000.0])).unwrap();
+    assert!(!fix.ok(), "{fix:?}");
+    assert!(fix.risk.unwrap() > 0.5);
+}
+
+#[test]
+fn a_track_of_another_place_is_rejected_or_not_fixed() {
+    let map = exact();
+    let mut fixed = 0;
+    for seed in 0..20 {
+        let track = flight(&rough(40.0), [0.0, 0.0], 30, 0.5, 0.0, seed);
+        let fix = match_posterior(&map, &track, Some(0.5), &PosteriorOptions::new([1000.0, 1000.0])).unwrap();
+        fixed += usize::from(fix.ok());
+    }
+    assert_eq!(fixed, 0);
+}
+
+#[test]
+fn outliers_do_not_move_the_fix() {
+    let map = exact();
+    let track = flight(&map, [-420.0, 580.0], 40, 0.5, -30.0, 11);
+    let mut values = track.values().to_vec();
+    values[0] += 50.0;
+    values[17] -= 50.0;
+    let track = Track::new(track.x().to_vec(), track.y().to_vec(), values, None).unwrap();
+    let fix = match_posterior(&map, &track, Some(0.5), &PosteriorOptions::new([1000.0, 1000.0])).unwrap();
+    assert!(fix.ok());
+    assert!((fix.offset_m[0] + 420.0).hypot(fix.offset_m[1] - 580.0) < 40.0, "{:?}", fix.offset_m);
+}
+
+#[test]
+fn streaming_and_batch_agree_on_the_same_samples() {
+    let map = exact();
+    let track = flight(&map, [330.0, 610.0], 25, 0.5, 8.0, 5);
+    let options = PosteriorOptions::new([1000.0, 1000.0]);
+    let mut stream = PosteriorMatcher::new(Arc::new(map.clone()), Some(0.5), options.clone(), 100).unwrap();
+    for k in 0..track.len() {
+        stream.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+    }
+    let streamed = stream.fix().unwrap();
+    let batch = match_posterior(&map, &track, Some(0.5), &options).unwrap();
+    assert_eq!(streamed.status, batch.status);
+    assert_relative_eq!(streamed.offset_m[0], batch.offset_m[0], epsilon = 0.5);
+    assert_relative_eq!(streamed.offset_m[1], batch.offset_m[1], epsilon = 0.5);
+    assert_relative_eq!(streamed.risk.unwrap(), batch.risk.unwrap(), epsilon = 1e-4);
+}
+
+#[test]
+fn a_saved_stream_goes_on_bit_for_bit() {
+    let map: Arc<dyn Field> = Arc::new(exact());
+    let track = flight(&exact(), [330.0, 610.0], 25, 0.5, 8.0, 5);
+    let mut first = PosteriorMatcher::new(map.clone(), Some(0.5), PosteriorOptions::new([1000.0; 2]), 100).unwrap();
+    for k in 0..10 {
+        first.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+    }
+    let mut second = PosteriorMatcher::load(map, &first.save().unwrap()).unwrap();
+    for k in 10..25 {
+        let a = first.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+        let b = second.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+        assert_eq!(a.status, b.status);
+        assert_eq!(a.risk.to_bits(), b.risk.to_bits());
+    }
+}
+
+#[test]
+fn declared_risk_holds_and_covariance_fits() {
+    let map = exact();
+    let mut options = PosteriorOptions::new([1000.0, 1000.0]);
+    options.tolerance_m = Some(60.0);
+    let (mut declared, mut wrong, mut fixed, mut nees) = (0.0, 0, 0, 0.0);
+    let mut rng = Pcg64Mcg::seed_from_u64(99);
+    for seed in 0..400 {
+        let offset = [rng.random_range(-900.0..900.0), rng.random_range(-900.0..900.0)];
+        let track = flight(&map, offset, 14, 3.0, 20.0, seed);
+        let fix = match_posterior(&map, &track, Some(3.0), &options).unwrap();
+        if !fix.ok() {
+            continue;
+        }
+        fixed += 1;
+        declared += fix.risk.unwrap();
+        let e = [fix.offset_m[0] - offset[0], fix.offset_m[1] - offset[1]];
+        wrong += usize::from(e[0].hypot(e[1]) > 60.0);
+        let [[a, b], [_, d]] = fix.covariance_m2.unwrap();
+        nees += (d * e[0] * e[0] - 2.0 * b * e[0] * e[1] + a * e[1] * e[1]) / (a * d - b * b);
+    }
+    assert!(fixed > 100, "{fixed}");
+    assert!(wrong as f64 <= declared + 4.0 * (declared + 1.0_f64).sqrt(), "{wrong} wrong, {declared} declared");
+    let mean = nees / f64::from(fixed);
+    assert!(mean > 1.0 && mean < 3.0, "{mean}");
+}
+
+#[test]
+fn two_channels_are_better_than_one() {
+    let (one, two) = (exact(), rough(7.0).with_sigma(Some(MapSigma::Constant(0.0))).unwrap());
+    let track = flight(&one, [100.0, 200.0], 12, 2.0, 0.0, 2);
+    let second: Vec<f64> = (0..track.len())
+        .map(|k| two.sample(track.x()[k] + 100.0, track.y()[k] + 200.0, crate::grid::Interpolation::Bilinear))
+        .collect();
+    let options = PosteriorOptions::new([1000.0, 1000.0]);
+    let alone = match_posterior(&one, &track, Some(2.0), &options).unwrap();
+    let channels = [
+        Channel { field: &one, values: track.values(), sigma: Some(2.0) },
+        Channel { field: &two, values: &second, sigma: Some(2.0) },
+    ];
+    let both = match_channels(&channels, &track, &options).unwrap();
+    let size = |c: Option<[[f64; 2]; 2]>| c.map(|c| c[0][0] + c[1][1]).unwrap();
+    assert!(size(both.covariance_m2) < size(alone.covariance_m2));
+}
+
+#[test]
+fn prediction_and_outcome_agree() {
+    let map = exact();
+    let mut options = PosteriorOptions::new([500.0, 500.0]);
+    options.tolerance_m = Some(300.0);
+    let (mut nees, mut count) = (0.0, 0);
+    for seed in 0..300 {
+        let track = flight(&map, [0.0, 0.0], 30, 1.0, 5.0, seed);
+        let expected = predict(&map, &track, Some(1.0), &options, 0, 0).unwrap();
+        let fix = match_posterior(&map, &track, Some(1.0), &options).unwrap();
+        if fix.ok() {
+            let [[a, b], [_, d]] = expected.covariance_m2;
+            let e = fix.offset_m;
+            nees += (d * e[0] * e[0] - 2.0 * b * e[0] * e[1] + a * e[1] * e[1]) / (a * d - b * b);
+            count += 1;
+        }
+    }
+    assert!(count > 200, "{count}");
+    // Mean of chi-square with two degrees of freedom over `count` draws, four standard errors.
+    let mean = nees / f64::from(count);
+    assert!((mean - 2.0).abs() < 4.0 * 2.0 / f64::from(count).sqrt(), "{mean}");
+}
+
+#[test]
+fn bad_options_are_refused_before_memory_is_taken() {
+    let map = exact();
+    let track = flight(&map, [0.0, 0.0], 5, 1.0, 0.0, 0);
+    for change in [
+        |o: &mut PosteriorOptions| o.half_width = [0.0, 1.0],
+        |o: &mut PosteriorOptions| o.max_risk = 1.5,
+        |o: &mut PosteriorOptions| o.step = Some([1e-9, 1e-9]),
+        |o: &mut PosteriorOptions| o.tolerance_m = Some(f64::NAN),
+        |o: &mut PosteriorOptions| o.min_overlap = 0.0,
+    ] {
+        let mut options = PosteriorOptions::new([1000.0, 1000.0]);
+        change(&mut options);
+        assert!(match_posterior(&map, &track, None, &options).is_err());
+    }
+}

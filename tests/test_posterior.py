@@ -1,0 +1,233 @@
+"""Calibrated matching: batch, streaming, several fields, prediction, survey maps, reports."""
+
+from __future__ import annotations
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+
+import geomag
+from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability, wilson
+from geomag.survey import Lines, learn_errors, line_spacing_m, map_from_lines, read_lines
+
+
+def field(x, y):
+    x, y = np.asarray(x) / 1000, np.asarray(y) / 1000
+    return 60 * np.sin(1.7 * x) * np.cos(1.3 * y) + 40 * np.sin(2.9 * x + 1.1 * y) + 25 * np.cos(3.7 * y - 0.6 * x)
+
+
+@pytest.fixture(scope="module")
+def grid():
+    axis = np.arange(0.0, 12_001.0, 100.0)
+    return geomag.GridMap(field(axis[None, :], axis[:, None]), axis, axis, sigma=0.0)
+
+
+def flight(grid, offset, n=30, sigma=0.5, bias=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    course = rng.uniform(0, 2 * np.pi)
+    along = 150 * (np.arange(n) - n / 2)
+    x, y = 6000 + along * np.sin(course), 6000 + along * np.cos(course)
+    return geomag.Track(x - offset[0], y - offset[1], grid.sample(x, y) + bias + rng.normal(0, sigma, n))
+
+
+def test_fix_has_everything_that_it_declares(grid):
+    fix = geomag.match_posterior(grid, flight(grid, (740, -310), bias=17), half_width=1000, sigma=0.5, tolerance_m=100)
+    assert fix.ok
+    assert np.hypot(fix.offset_m[0] - 740, fix.offset_m[1] + 310) < 30
+    assert 0 <= fix.risk <= 0.01
+    assert fix.goodness > 1e-3
+    assert np.all(np.linalg.eigvalsh(fix.covariance_m2) > 0)
+
+
+def test_a_plain_map_needs_no_words_about_its_error(grid):
+    plain = geomag.GridMap(grid.values, grid.x, grid.y)
+    fix = geomag.match_posterior(plain, flight(grid, (200, 300), n=40), half_width=1000, tolerance_m=200)
+    assert not fix.ok or np.hypot(fix.offset_m[0] - 200, fix.offset_m[1] - 300) < 200
+
+
+def test_surface_sums_to_one_and_peaks_at_the_answer(grid):
+    fix = geomag.match_posterior(
+        grid, flight(grid, (300, 400)), half_width=1000, sigma=0.5, step=100, surface=True, tolerance_m=200
+    )
+    assert fix.surface.shape == (21, 21)
+    assert np.nansum(fix.surface) == pytest.approx(1, abs=1e-6)
+    row, column = np.unravel_index(np.nanargmax(fix.surface), fix.surface.shape)
+    assert (column - 10, row - 10) == (3, 4)
+
+
+def test_streaming_agrees_with_batch_and_pickles(grid):
+    track = flight(grid, (330, 610), n=25, bias=8)
+    matcher = geomag.PosteriorMatcher(grid, half_width=1000, sigma=0.5)
+    for k, sample in enumerate(zip(track.x, track.y, track.values, strict=True)):
+        if k == 9:
+            twin = pickle.loads(pickle.dumps(matcher))
+        step = matcher.update(*sample)
+        if k >= 9:
+            other = twin.update(*sample)
+            assert (other.status, other.risk, other.n_feasible) == (step.status, step.risk, step.n_feasible)
+    batch = geomag.match_posterior(grid, track, half_width=1000, sigma=0.5)
+    streamed = matcher.fix()
+    assert streamed.status == batch.status
+    assert streamed.offset_m == pytest.approx(batch.offset_m, abs=0.5)
+    assert streamed.risk == pytest.approx(batch.risk, abs=1e-4)
+
+
+def test_the_same_bits_whatever_runs_beside(grid):
+    tracks = [flight(grid, (100, 50 * k), seed=k) for k in range(8)]
+    many = geomag.match_posterior_many(grid, tracks, half_width=1000, sigma=0.5)
+    for track, fix in zip(tracks, many, strict=True):
+        alone = geomag.match_posterior(grid, track, half_width=1000, sigma=0.5)
+        assert (alone.x, alone.y, alone.risk) == (fix.x, fix.y, fix.risk)
+
+
+def test_a_second_field_helps(grid):
+    axis = grid.x
+    other = geomag.GridMap(field(axis[None, :] + 5000, axis[:, None] - 3000), axis, axis, sigma=0.0)
+    track = flight(grid, (100, 200), n=12, sigma=2)
+    values = other.sample(track.x + 100, track.y + 200)
+    alone = geomag.match_posterior(grid, track, half_width=1000, sigma=2.0)
+    both = geomag.match_posterior(grid, track, half_width=1000, sigma=2.0, more=[(other, values, 2.0)])
+    assert np.trace(both.covariance_m2) < np.trace(alone.covariance_m2)
+
+
+def test_bad_input_says_what_was_needed(grid):
+    track = flight(grid, (0, 0))
+    with pytest.raises(geomag.InvalidInputError, match="half_width"):
+        geomag.match_posterior(grid, track, half_width=-1)
+    with pytest.raises(geomag.CandidateLimitError):
+        geomag.match_posterior(grid, track, half_width=1000, step=0.01)
+    with pytest.raises(geomag.InvalidInputError, match="max_risk"):
+        geomag.match_posterior(grid, track, half_width=1000, max_risk=2)
+    with pytest.raises(geomag.ShapeError):
+        grid.with_error_model(nu=3, scale_spread=0.3, correlation=1, registration=0.1, distance_m=np.zeros((2, 2)))
+
+
+def test_error_model_stays_with_the_map(grid):
+    layered = geomag.GridMap(grid.values, grid.x, grid.y, sigma=2.0).with_error_model(
+        nu=3, scale_spread=0.3, correlation=1, registration=0.1, distance_m=150.0
+    )
+    again = pickle.loads(pickle.dumps(layered))
+    assert again.error_model == layered.error_model
+    assert again.error_model["distance_m"] == 150.0
+
+
+@pytest.mark.parametrize(
+    ("extra", "told"),
+    [
+        ({}, {}),
+        ({"bias": 50.0}, {}),
+        ({"outlier_share": 0.05, "outlier": 50.0}, {}),
+        ({"heading_deg": 1.0}, {}),
+        ({"drift_m": 50.0}, {}),
+    ],
+    ids=["plain", "bias", "outliers", "heading", "drift"],
+)
+def test_declared_risk_holds_in_simulation(grid, extra, told):
+    result = calibrate_simulated(
+        grid, sigma=1.0, half_width_m=1000, tolerance_m=100, samples=25, trials=300, **extra, **told
+    )
+    summary = result.summary()
+    assert summary["fixed"] > 0.5
+    ok = result.fixed
+    wrong, declared = np.sum(result.error_m[ok] > 100), result.risk[ok].sum()
+    assert wrong <= declared + 4 * np.sqrt(declared + 1)
+
+
+def test_prediction_bounds_what_happens(grid):
+    tracks = [flight(grid, (0, 0), seed=s) for s in range(60)]
+    predicted = geomag.predict_many(grid, tracks, half_width=500, sigma=0.5, tolerance_m=300, flights=0)
+    result = assess(
+        grid,
+        tracks,
+        np.array([[t.x[-1], t.y[-1]] for t in tracks]),
+        name="routes",
+        half_width_m=500,
+        tolerance_m=300,
+        sigma=0.5,
+    )
+    ok = result.fixed
+    expected = np.array([np.trace(p.bound_m2) for p in predicted])[ok]
+    ratio = np.sqrt(np.mean(result.error_m[ok] ** 2) / np.mean(expected))
+    assert 0.7 < ratio < 1.3
+
+
+def test_suitability_has_layers_of_the_right_shape(grid, tmp_path):
+    found = suitability(
+        grid,
+        spacing_m=150,
+        half_width_m=500,
+        tolerance_m=200,
+        sigma=0.5,
+        samples=15,
+        places=3,
+        flights=1,
+        headings_deg=(0, 90),
+    )
+    assert found.sigma_m.shape == found.fix_probability.shape == (2, 3, 3)
+    assert np.nanmax(found.fix_probability) <= 1
+
+
+def survey(seed=0):
+    rng = np.random.default_rng(seed)
+    x, y, v, line = [], [], [], []
+    for k, north in enumerate(np.arange(0, 12_001, 300.0)):
+        east = np.arange(0, 12_001, 25.0)
+        x.append(east)
+        y.append(np.full(east.size, north))
+        v.append(3 * field(1.7 * east, 1.7 * north) + rng.normal(0, 0.5, east.size))
+        line.append(np.full(east.size, k))
+    return Lines(*(np.concatenate(a) for a in (x, y, v, line)))
+
+
+def test_lines_become_a_map_that_knows_its_errors():
+    lines = survey()
+    assert line_spacing_m(lines) == pytest.approx(300, rel=0.15)
+    model = learn_errors(lines, seed=1)
+    assert model.windows >= 20
+    made = map_from_lines(lines, model=model)
+    assert made.error_model["nu"] == 3
+    sigma = np.asarray(made.sigma)
+    distance = made.error_model["distance_m"]
+    near, far = sigma[distance < 40], sigma[distance > 120]
+    assert np.nanmedian(far) > np.nanmedian(near)
+    between = np.abs(made.sample([6000.0], [6150.0]) - 3 * field(1.7 * 6000.0, 1.7 * 6150.0))
+    assert between[0] < 60
+
+
+def test_too_few_lines_are_refused():
+    x = np.arange(0.0, 1000, 10)
+    with pytest.raises(geomag.TooFewSamplesError):
+        learn_errors(Lines(x, 0 * x, x, np.zeros(x.size)))
+    with pytest.raises(geomag.ShapeError):
+        Lines(x, x, x, np.zeros(3))
+
+
+def test_left_out_lines_are_declared_rightly():
+    result = calibrate_lines(survey(3), half_width_m=1000, tolerance_m=200, spacing_m=150, samples=30, most=150)
+    text = result.to_markdown()
+    assert "declared risk" in text
+    ok = result.fixed
+    wrong, declared = np.sum(result.error_m[ok] > 200), result.risk[ok].sum()
+    assert wrong <= declared + 4 * np.sqrt(declared + 1)
+
+
+def test_wilson_interval():
+    low, high = wilson(1, 100)
+    assert (low, high) == (pytest.approx(0.0018, abs=3e-4), pytest.approx(0.0545, abs=3e-4))
+    assert wilson(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
+def test_osborne_lines_that_are_not_in_the_map(data_file):
+    pytest.importorskip("pandas")
+    lines = read_lines(data_file("osborne-aeromag/osborne_lines.csv.gz"))
+    result = calibrate_lines(
+        lines, name="Osborne", half_width_m=1000, tolerance_m=200, spacing_m=200, samples=40, most=1200
+    ).summary()
+    assert result["tracks"] >= 500
+    assert result["fixed"] >= 0.6
+    assert result["wrong"] <= 0.02
+    assert result["gross"] <= 0.003
+    assert result["median_m"] < 65
