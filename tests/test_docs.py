@@ -19,6 +19,36 @@ PAGES = sorted(p for p in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md"] if "_
 FENCE = re.compile(
     r"^(?P<tick>```+)(?P<kind>\{code-cell\}|python|console)[^\n]*\n(?P<body>.*?)^(?P=tick)\s*$", re.M | re.S
 )
+# What the short blocks of a guide take for granted: a map, a track, a log, of any kind.
+SCENE = """
+import geomag, numpy as np
+from geomag import synthetic
+grid = synthetic.Crust().draw((0, 0, 60_000, 60_000), seed=1).grid(250.0, units="nT")
+path = synthetic.Path.straight((12_000, 12_000), course_deg=40, speed_m_s=60, interval_s=10, samples=60)
+track = synthetic.fly(grid, path, ins=synthetic.InsError(position_m=(400.0, -300.0))).track
+values, quantum, planned = track.values, 8.0, track
+"""
+SCENES = {
+    "contour.md": SCENE,
+    "sequence.md": SCENE,
+    "filter.md": """
+import geomag, numpy as np
+north, east = (a.ravel() for a in np.meshgrid(np.linspace(-500, 500, 9), np.linspace(-500, 500, 9)))
+field = np.column_stack([20 * np.cos(north / 300), 20 * np.sin(east / 300), 40_000 + north + east])
+model = geomag.RectangularHarmonicModel.fit(north, east, np.zeros(81), field, order=2)
+log = [(10.0, 45.0, None)] * 3
+""",
+    "harmonic.md": """
+import geomag, numpy as np
+latitude, longitude = (a.ravel() for a in np.meshgrid(np.linspace(32.5, 33.5, 30), np.linspace(117.5, 118.5, 30)))
+height = np.zeros(latitude.size)
+components = np.column_stack([np.cos(9 * latitude), np.sin(7 * longitude), np.cos(5 * latitude)]) * 50
+""",
+    "ins-feedback.md": """
+import geomag
+log = [(10.0 * k, 118.0 + 0.001 * k, 33.0, None) for k in range(5)]
+""",
+}
 # Pages whose commands work on files that another page makes.
 NEEDS = {"command-line.md": "tutorial.md"}
 
@@ -43,6 +73,7 @@ def commands(body: str) -> list[str]:
 def run_page(page: Path) -> None:
     os.environ.setdefault("MPLBACKEND", "Agg")
     namespace: dict[str, object] = {"__name__": "__docs__"}
+    exec(SCENES.get(page.name, ""), namespace)
     for kind, body, line in blocks(page):
         if kind == "python":
             code = compile("\n" * (line - 1) + body, str(page), "exec")

@@ -206,13 +206,12 @@ fn gradient(block: &Block<'_>) -> Vec<[f64; 2]> {
             return;
         }
         let [east, north] = cell_m(block, row);
-        let last = columns.saturating_sub(1);
-        for (column, slope) in line.iter_mut().enumerate().take(last).skip(1) {
+        for (column, out) in line.iter_mut().enumerate().take(columns.saturating_sub(1)).skip(1) {
             let at = row * columns + column;
             let along_x = (block.values[at + 1] - block.values[at - 1]) / (2.0 * east);
             let along_y = (block.values[at + columns] - block.values[at - columns]) / (2.0 * north);
             let known = (along_x + along_y + block.values[at]).is_finite();
-            *slope = if known { [along_x, along_y] } else { [f64::NAN; 2] };
+            *out = if known { [along_x, along_y] } else { [f64::NAN; 2] };
         }
     });
     out
