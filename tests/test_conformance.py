@@ -112,7 +112,10 @@ def test_finds_the_truth(matcher, case):
             errors.append(np.hypot(*(np.array(fix.offset_m) - offset_m)))
             unit = np.array(grid.metres_per_unit(float(fix.y)))
             np.testing.assert_allclose(fix.offset_m, np.array(fix.offset) * unit, rtol=1e-3)
-            assert (fix.x - track.x[-1] - fix.offset[0]) % 360 in (pytest.approx(0, abs=1e-9), pytest.approx(360, abs=1e-9))
+            assert (fix.x - track.x[-1] - fix.offset[0]) % 360 in (
+                pytest.approx(0, abs=1e-9),
+                pytest.approx(360, abs=1e-9),
+            )
             assert fix.y == pytest.approx(track.y[-1] + fix.offset[1])
             assert len(fix.track) <= len(track)
     assert fixed >= 6

@@ -101,7 +101,13 @@ def grid_search_table(smoke):
                 ("scipy map_coordinates", scipy_surface),
             ):
                 slow = side > 500 and name.startswith("scipy")
-                arguments = (values, xs[:10] if slow else xs, ys[:10] if slow else ys, measured[:10] if slow else measured, half)
+                arguments = (
+                    values,
+                    xs[:10] if slow else xs,
+                    ys[:10] if slow else ys,
+                    measured[:10] if slow else measured,
+                    half,
+                )
                 took, surface = best_of(1 if slow else 2, lambda w=work, a=arguments: w(*a))
                 if slow:  # linear in the samples; the whole takes a minute
                     took *= samples / 10

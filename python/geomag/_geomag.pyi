@@ -990,6 +990,7 @@ def predict_many(
     seed: int = 0,
     progress: Progress = None,
 ) -> list[Prediction | None]: ...
+
 @final
 class PosteriorStep:
     @property

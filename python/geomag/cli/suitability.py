@@ -78,7 +78,9 @@ def suitability(
         )  # fmt: skip
         for k, h in enumerate(over.heading_deg):
             share = over.fix_probability[k][np.isfinite(over.fix_probability[k])]
-            told = f"{share.mean():.0%} of simulated flights are fixed" if share.size else "no simulated flight on the map"
+            told = (
+                f"{share.mean():.0%} of simulated flights are fixed" if share.size else "no simulated flight on the map"
+            )
             typer.echo(f"heading {h:5.1f}  {told}")
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)

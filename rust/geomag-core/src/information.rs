@@ -181,7 +181,7 @@ impl TrackInformation {
                         soon = (k + 1) as f32;
                     }
                 }
-                if sums.known as f64 >= LEAST_KNOWN * self.samples as f64 {
+                if f64::from(sums.known) >= LEAST_KNOWN * self.samples as f64 {
                     errors[column] = sums.error_m(self.free_level) as f32;
                     samples[column] = soon;
                 }
@@ -206,12 +206,13 @@ fn gradient(block: &Block<'_>) -> Vec<[f64; 2]> {
             return;
         }
         let [east, north] = cell_m(block, row);
-        for column in 1..columns.saturating_sub(1) {
+        let last = columns.saturating_sub(1);
+        for (column, slope) in line.iter_mut().enumerate().take(last).skip(1) {
             let at = row * columns + column;
             let along_x = (block.values[at + 1] - block.values[at - 1]) / (2.0 * east);
             let along_y = (block.values[at + columns] - block.values[at - columns]) / (2.0 * north);
             let known = (along_x + along_y + block.values[at]).is_finite();
-            line[column] = if known { [along_x, along_y] } else { [f64::NAN; 2] };
+            *slope = if known { [along_x, along_y] } else { [f64::NAN; 2] };
         }
     });
     out

@@ -36,9 +36,9 @@ impl Drift {
         let decay = (-d / self.model.velocity_time_constant_s).exp();
         for _ in 0..steps {
             let turned = [moved[1], -moved[0]];
-            for i in 0..2 {
+            for (i, turned) in turned.into_iter().enumerate() {
                 let walk = self.model.position_walk_m * d.sqrt() * self.z();
-                self.position[i] += self.velocity[i] * d + self.heading * turned[i] / f64::from(steps) + walk;
+                self.position[i] += self.velocity[i] * d + self.heading * turned / f64::from(steps) + walk;
             }
             for i in 0..2 {
                 self.velocity[i] = decay * self.velocity[i] + self.model.velocity_walk_m_s * d.sqrt() * self.z();

@@ -318,12 +318,11 @@ fn labels(object: &Bound<'_, PyAny>) -> PyRes<Vec<u64>> {
     for item in object.try_iter()? {
         let item = item?;
         let next = seen.len() as u64;
-        match seen.get_item(&item)? {
-            Some(known) => out.push(known.extract()?),
-            None => {
-                seen.set_item(item, next)?;
-                out.push(next);
-            }
+        if let Some(known) = seen.get_item(&item)? {
+            out.push(known.extract()?)
+        } else {
+            seen.set_item(item, next)?;
+            out.push(next);
         }
     }
     Ok(out)

@@ -5,7 +5,9 @@
 // Signatures of Python methods are documented in the stub, where Python users look.
 #![allow(missing_docs)]
 // Docstrings are Python's: numpydoc, not Markdown.
-#![allow(clippy::doc_markdown)]
+#![allow(clippy::doc_markdown, clippy::doc_link_with_quotes)]
+// The tuples of __reduce__ are spelt out where they are written.
+#![allow(clippy::type_complexity)]
 
 use geomag_core::state;
 use pyo3::prelude::*;
