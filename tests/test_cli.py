@@ -51,6 +51,18 @@ def test_match_prints_one_json_object(files, capsys, method):
     assert len(fix["track"]) == 30
 
 
+def test_posterior_declares_its_risk(files, capsys):
+    status, out, _ = call(
+        capsys,
+        *("match", files / "map.nc", files / "log.csv", "--method", "posterior"),
+        *("--half-width-m", 1000, "--sigma", 1, "--tolerance-m", 200, "--json"),
+    )
+    fix = json.loads(out)
+    assert status == (0 if fix["ok"] else 3)
+    assert 0.0 <= fix["risk"] <= 1.0
+    assert not fix["ok"] or fix["risk"] <= 0.01
+
+
 @pytest.mark.parametrize("method", ["iema", "prod", "hausdorff"])
 def test_other_methods_answer_or_say_no(files, capsys, method):
     status, out, _ = call(

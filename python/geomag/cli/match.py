@@ -11,7 +11,7 @@ import typer
 from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid
+from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid, match_posterior
 from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
@@ -29,6 +29,7 @@ class Method(StrEnum):
     prod = "prod"
     ncc = "ncc"
     hausdorff = "hausdorff"
+    posterior = "posterior"
     contour = "contour"
 
 
@@ -58,9 +59,11 @@ def match(
     tolerance_m: Annotated[
         float,
         typer.Option(
-            help="IEMA: extent of the feasible set that is unique enough, m. Contour: radius of a right fix, m."
+            help="Posterior, contour: error within which a fix is right, m (by default the method's own). "
+            "IEMA: extent of the feasible set that is unique enough, m."
         ),
     ] = 0.0,
+    max_risk: Annotated[float, typer.Option(help="Posterior: declared risk up to which it is a fix.")] = 0.01,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
         float,
@@ -96,6 +99,7 @@ def match(
         sigma=sigma,
         remove_mean=remove_mean,
         tolerance_m=tolerance_m,
+        max_risk=max_risk,
         max_misses=max_misses,
         heading_deg=heading_deg,
         scale_sigma=scale_sigma,
@@ -135,6 +139,7 @@ def solve(
     sigma: float | None = None,
     remove_mean: bool = True,
     tolerance_m: float = 0.0,
+    max_risk: float = 0.01,
     max_misses: int = 0,
     heading_deg: float = 0.0,
     scale_sigma: float = 0.0,
@@ -162,6 +167,20 @@ def solve(
             if step.status != "searching":
                 break
         return iema.run(track), frames
+    if method == "posterior":
+        fix = match_posterior(
+            grid,
+            track,
+            half_width=reach,
+            sigma=sigma,
+            tolerance_m=tolerance_m or None,
+            max_risk=max_risk,
+            bias_sigma=None if remove_mean else 0.0,
+            heading_sigma_deg=heading_deg,
+            scale_sigma=scale_sigma,
+            surface=surface,
+        )
+        return fix, []
     if method == "contour" and letter:
         return match_contour(grid, track, sigma=sigma, radius_m=half_width_m), []
     if method == "contour":
