@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 __version__: str
 instruction_set: str
 
-Floats: TypeAlias = NDArray[np.float64]
-Pair: TypeAlias = float | Sequence[float] | Floats
-Progress: TypeAlias = bool | Callable[[int, int], object] | None
-Status: TypeAlias = Literal[
+_Floats: TypeAlias = NDArray[np.float64]
+_Pair: TypeAlias = float | Sequence[float] | _Floats
+_Progress: TypeAlias = bool | Callable[[int, int], object] | None
+_Status: TypeAlias = Literal[
     "fixed", "searching", "ambiguous", "at_edge", "lost", "uninformative", "not_converged", "rejected"
 ]
 
@@ -36,13 +36,13 @@ class GridMap:
     def from_xarray(data_array: xr.DataArray, **options: Any) -> GridMap: ...
     def to_xarray(self) -> xr.DataArray: ...
     @property
-    def x(self) -> Floats: ...
+    def x(self) -> _Floats: ...
     @property
-    def y(self) -> Floats: ...
+    def y(self) -> _Floats: ...
     @property
-    def values(self) -> NDArray[np.float32] | Floats: ...
+    def values(self) -> NDArray[np.float32] | _Floats: ...
     @property
-    def sigma(self) -> float | Floats | None: ...
+    def sigma(self) -> float | _Floats | None: ...
     def with_error_model(
         self, *, nu: float, scale_spread: float, correlation: float, registration: float, distance_m: ArrayLike
     ) -> GridMap: ...
@@ -71,7 +71,7 @@ class GridMap:
     def gradient(
         self, x: ArrayLike, y: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear"
     ) -> tuple[Any, Any]: ...
-    def bounds(self, x: ArrayLike, y: ArrayLike, *, half_width: Pair) -> tuple[Any, Any]: ...
+    def bounds(self, x: ArrayLike, y: ArrayLike, *, half_width: _Pair) -> tuple[Any, Any]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
     def _restore(
@@ -80,22 +80,23 @@ class GridMap:
         geographic: bool,
         sigma: ArrayLike | None,
         text: tuple[str | None, str | None, str | None],
+        model: dict[str, Any] | None,
     ) -> GridMap: ...
 
 @final
 class Track:
     def __new__(cls, x: ArrayLike, y: ArrayLike, values: ArrayLike, time_s: ArrayLike | None = None) -> Track: ...
     @property
-    def x(self) -> Floats: ...
+    def x(self) -> _Floats: ...
     @property
-    def y(self) -> Floats: ...
+    def y(self) -> _Floats: ...
     @property
-    def values(self) -> Floats: ...
+    def values(self) -> _Floats: ...
     @property
-    def time_s(self) -> Floats | None: ...
-    def distance_m(self, *, geographic: bool = False) -> Floats: ...
+    def time_s(self) -> _Floats | None: ...
+    def distance_m(self, *, geographic: bool = False) -> _Floats: ...
     def __len__(self) -> int: ...
-    def __getitem__(self, index: slice) -> Track: ...
+    def __getitem__(self, index: slice, /) -> Track: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
 @final
@@ -115,13 +116,13 @@ class Fix:
     @property
     def bias(self) -> float | None: ...
     @property
-    def covariance_m2(self) -> Floats | None: ...
+    def covariance_m2(self) -> _Floats | None: ...
     @property
     def risk(self) -> float | None: ...
     @property
     def goodness(self) -> float | None: ...
     @property
-    def status(self) -> Status: ...
+    def status(self) -> _Status: ...
     @property
     def ok(self) -> bool: ...
     @property
@@ -133,11 +134,11 @@ class Fix:
     @property
     def iterations(self) -> int: ...
     @property
-    def track(self) -> Floats: ...
+    def track(self) -> _Floats: ...
     @property
-    def surface(self) -> Floats | None: ...
+    def surface(self) -> _Floats | None: ...
     @property
-    def surface_axes(self) -> tuple[Floats, Floats] | None: ...
+    def surface_axes(self) -> tuple[_Floats, _Floats] | None: ...
     def to_dict(self) -> dict[str, Any]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
@@ -146,7 +147,7 @@ class Fix:
 @final
 class IemaStep:
     @property
-    def status(self) -> Status: ...
+    def status(self) -> _Status: ...
     @property
     def n_samples(self) -> int: ...
     @property
@@ -168,10 +169,10 @@ class Iema:
         cls,
         grid: GridMap,
         sigma: float,
-        half_width: Pair,
-        tolerance: Pair | None = None,
+        half_width: _Pair,
+        tolerance: _Pair | None = None,
         *,
-        step: Pair | None = None,
+        step: _Pair | None = None,
         max_misses: int = 0,
         unknown: Literal["keep", "drop"] = "keep",
         gate: float = 3.0,
@@ -183,9 +184,9 @@ class Iema:
     @property
     def feasible(self) -> NDArray[np.bool_]: ...
     @property
-    def log_scores(self) -> Floats: ...
+    def log_scores(self) -> _Floats: ...
     @property
-    def offsets(self) -> tuple[Floats, Floats]: ...
+    def offsets(self) -> tuple[_Floats, _Floats]: ...
     @property
     def n_samples(self) -> int: ...
     @property
@@ -199,8 +200,8 @@ def match_grid(
     track: Track,
     criterion: str = "msd",
     *,
-    half_width: Pair,
-    step: Pair | None = None,
+    half_width: _Pair,
+    step: _Pair | None = None,
     heading_deg: ArrayLike | None = None,
     scale: ArrayLike | None = None,
     pivot: Literal["newest", "centroid"] = "newest",
@@ -220,7 +221,7 @@ def match_grid(
     surface: bool = False,
     max_candidates: int = ...,
     threads: int | None = None,
-    progress: Progress = None,
+    progress: _Progress = None,
 ) -> Fix: ...
 
 # Behind geomag.synthetic.
@@ -271,11 +272,11 @@ class Path:
         geographic: bool = False,
     ) -> Path: ...
     @property
-    def x(self) -> Floats: ...
+    def x(self) -> _Floats: ...
     @property
-    def y(self) -> Floats: ...
+    def y(self) -> _Floats: ...
     @property
-    def time_s(self) -> Floats: ...
+    def time_s(self) -> _Floats: ...
     @property
     def geographic(self) -> bool: ...
     def offset_m(self, track: Track) -> tuple[float, float]: ...
@@ -287,7 +288,7 @@ class Path:
 def draw_ins_error(spread_json: str, seed: int) -> str: ...
 def fly(
     field: SyntheticField | GridMap, path: Path, ins_json: str, sensor_json: str, seed: int
-) -> tuple[Track, Floats]: ...
+) -> tuple[Track, _Floats]: ...
 
 # Behind geomag.campaign.
 
@@ -298,11 +299,11 @@ def campaign_rows(
     methods: Sequence[tuple[str, str, dict[str, Any]]],
     trials: Sequence[int],
     threads: int | None = None,
-    progress: Progress = None,
+    progress: _Progress = None,
 ) -> list[dict[str, Any]]: ...
 def campaign_flight(
     grid: GridMap, truth: GridMap | SyntheticField | None, campaign_json: str, trial: int
-) -> tuple[Path, Track, Floats]: ...
+) -> tuple[Path, Track, _Floats]: ...
 
 # Behind geomag.blocks.
 
@@ -311,7 +312,7 @@ def bound_reach(
 ) -> tuple[int, int]: ...
 def bound_block(
     values: ArrayLike, y: ArrayLike, spacing: Sequence[float], geographic: bool, options_json: str
-) -> list[tuple[Floats, Floats]]: ...
+) -> list[tuple[_Floats, _Floats]]: ...
 
 # Contour matching, matching sequences, INS feedback.
 
@@ -322,7 +323,7 @@ def closest_contour_point(
 ) -> tuple[Any, Any, Any]: ...
 def fit_transform(
     source: ArrayLike, target: ArrayLike, *, kind: _Transform = "rigid", weights: ArrayLike | None = None
-) -> tuple[Floats, Floats]: ...
+) -> tuple[_Floats, _Floats]: ...
 def match_contour(
     grid: GridMap,
     track: Track,
@@ -451,7 +452,7 @@ def tune_sequence(
     particles: int = 30,
     iterations: int = 100,
     threads: int | None = None,
-    progress: Progress = None,
+    progress: _Progress = None,
 ) -> dict[str, Any]: ...
 
 @final
@@ -463,7 +464,7 @@ class CorrectedPosition:
     @property
     def offset_m(self) -> tuple[float, float]: ...
     @property
-    def covariance_m2(self) -> Floats: ...
+    def covariance_m2(self) -> _Floats: ...
 
 @final
 class FeedbackStep:
@@ -506,9 +507,9 @@ class InsFeedback:
     @property
     def heading_error_deg(self) -> float: ...
     @property
-    def state(self) -> Floats: ...
+    def state(self) -> _Floats: ...
     @property
-    def covariance(self) -> Floats: ...
+    def covariance(self) -> _Floats: ...
     @property
     def accepted(self) -> int: ...
     @property
@@ -517,9 +518,9 @@ class InsFeedback:
 
 # ---- frames, harmonic models, filters, field navigation
 
-Earth: TypeAlias = Literal["wgs84", "sphere"]
-Reading: TypeAlias = Literal["vector", "north", "east", "down", "projection", "anomaly", "intensity"]
-Quantity: TypeAlias = Literal["north", "east", "down", "projection", "anomaly", "intensity"]
+_Earth: TypeAlias = Literal["wgs84", "sphere"]
+_Reading: TypeAlias = Literal["vector", "north", "east", "down", "projection", "anomaly", "intensity"]
+_Quantity: TypeAlias = Literal["north", "east", "down", "projection", "anomaly", "intensity"]
 
 @final
 class LocalFrame:
@@ -529,7 +530,7 @@ class LocalFrame:
         longitude_deg: float,
         height_m: float = 0.0,
         *,
-        earth: Earth = "wgs84",
+        earth: _Earth = "wgs84",
         radius_m: float = ...,
     ) -> LocalFrame: ...
     @property
@@ -539,7 +540,7 @@ class LocalFrame:
     @property
     def height_m(self) -> float: ...
     @property
-    def earth(self) -> Earth: ...
+    def earth(self) -> _Earth: ...
     @property
     def radius_m(self) -> float | None: ...
     def forward(
@@ -602,10 +603,10 @@ class RectangularHarmonicModel:
         kind: Literal["anomaly", "intensity"] = "anomaly",
         sigma: ArrayLike | None = None,
         threads: int | None = None,
-        progress: Progress = None,
+        progress: _Progress = None,
         order: int | Sequence[int] = 12,
         period_ratio: float | Sequence[float] = 1.5,
-        periods_m: Pair | None = None,
+        periods_m: _Pair | None = None,
         ridge: float | Sequence[float] = 1e-9,
         truncation: float | None = None,
         damping_m: float = 0.0,
@@ -623,10 +624,10 @@ class RectangularHarmonicModel:
         observations: FieldObservations,
         *,
         threads: int | None = None,
-        progress: Progress = None,
+        progress: _Progress = None,
         order: int | Sequence[int] = 12,
         period_ratio: float | Sequence[float] = 1.5,
-        periods_m: Pair | None = None,
+        periods_m: _Pair | None = None,
         ridge: float | Sequence[float] = 1e-9,
         truncation: float | None = None,
         damping_m: float = 0.0,
@@ -644,7 +645,7 @@ class RectangularHarmonicModel:
         observations: FieldObservations,
         *,
         threads: int | None = None,
-        progress: Progress = None,
+        progress: _Progress = None,
         order: int | Sequence[int] = 12,
         period_ratio: float | Sequence[float] = 1.5,
         ridge: float | Sequence[float] = 1e-9,
@@ -658,7 +659,7 @@ class RectangularHarmonicModel:
     @staticmethod
     def from_coefficients(
         order: int,
-        periods_m: Pair,
+        periods_m: _Pair,
         coefficients: ArrayLike,
         *,
         region: ArrayLike,
@@ -670,7 +671,7 @@ class RectangularHarmonicModel:
     def terms(order: int) -> list[tuple[int, int, str, str]]: ...
     def field(
         self, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike, *, extrapolate: bool = False
-    ) -> Floats: ...
+    ) -> _Floats: ...
     def intensity(
         self,
         north_m: ArrayLike,
@@ -685,7 +686,7 @@ class RectangularHarmonicModel:
     ) -> Any: ...
     def gradient(
         self, north_m: ArrayLike, east_m: ArrayLike, down_m: ArrayLike, *, extrapolate: bool = False
-    ) -> Floats: ...
+    ) -> _Floats: ...
     def sigma(
         self,
         north_m: ArrayLike,
@@ -697,13 +698,13 @@ class RectangularHarmonicModel:
     ) -> Any: ...
     def field_grid(
         self, north_m: ArrayLike, east_m: ArrayLike, down_m: float, *, extrapolate: bool = False
-    ) -> Floats: ...
+    ) -> _Floats: ...
     def field_geographic(
         self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike, *, extrapolate: bool = False
-    ) -> Floats: ...
+    ) -> _Floats: ...
     def to_map(
         self,
-        quantity: Quantity = "down",
+        quantity: _Quantity = "down",
         *,
         main_field: ArrayLike | None = None,
         down_m: float | None = None,
@@ -714,7 +715,7 @@ class RectangularHarmonicModel:
         x: ArrayLike,
         y: ArrayLike,
         *,
-        quantity: Quantity = "down",
+        quantity: _Quantity = "down",
         main_field: ArrayLike | None = None,
         down_m: float | None = None,
         height_m: float | None = None,
@@ -727,11 +728,11 @@ class RectangularHarmonicModel:
     @property
     def periods_m(self) -> tuple[float, float]: ...
     @property
-    def coefficients(self) -> Floats: ...
+    def coefficients(self) -> _Floats: ...
     @property
-    def covariance(self) -> Floats | None: ...
+    def covariance(self) -> _Floats | None: ...
     @property
-    def region(self) -> Floats: ...
+    def region(self) -> _Floats: ...
     @property
     def frame(self) -> LocalFrame | None: ...
     @property
@@ -757,7 +758,7 @@ class HarmonicMap:
     @property
     def model(self) -> RectangularHarmonicModel: ...
     @property
-    def quantity(self) -> Quantity: ...
+    def quantity(self) -> _Quantity: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
     def _restore(
@@ -773,11 +774,11 @@ class UnscentedKalmanFilter:
     def __new__(
         cls, x: ArrayLike, P: ArrayLike, *, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0
     ) -> UnscentedKalmanFilter: ...
-    def predict(self, f: Callable[[Floats], ArrayLike] | ArrayLike, Q: ArrayLike) -> None: ...
+    def predict(self, f: Callable[[_Floats], ArrayLike] | ArrayLike, Q: ArrayLike) -> None: ...
     def update(
         self,
         z: ArrayLike,
-        h: Callable[[Floats], ArrayLike] | FieldSensor | ArrayLike,
+        h: Callable[[_Floats], ArrayLike] | FieldSensor | ArrayLike,
         R: ArrayLike,
         *,
         gate: float | None = None,
@@ -793,14 +794,14 @@ class UnscentedKalmanFilter:
     @property
     def nis(self) -> float | None: ...
     @property
-    def innovation(self) -> Floats | None: ...
+    def innovation(self) -> _Floats | None: ...
     @property
-    def S(self) -> Floats | None: ...
+    def S(self) -> _Floats | None: ...
     @property
-    def K(self) -> Floats | None: ...
+    def K(self) -> _Floats | None: ...
     @property
     def regularisations(self) -> int: ...
-    def sigma_points(self) -> Floats: ...
+    def sigma_points(self) -> _Floats: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
     def _restore(bytes: bytes) -> UnscentedKalmanFilter: ...
@@ -817,7 +818,7 @@ class ExtendedKalmanFilter:
     @property
     def nis(self) -> float | None: ...
     @property
-    def innovation(self) -> Floats | None: ...
+    def innovation(self) -> _Floats | None: ...
     @property
     def regularisations(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
@@ -830,14 +831,14 @@ class FieldSensor:
         cls,
         source: RectangularHarmonicModel | GridMap | HarmonicMap,
         *,
-        reading: Reading = "vector",
+        reading: _Reading = "vector",
         main_field: ArrayLike | None = None,
         down_m: float | None = None,
         height_m: float | None = None,
         interpolation: Literal["bilinear", "bicubic"] = "bicubic",
     ) -> FieldSensor: ...
-    def __call__(self, state: ArrayLike) -> Floats: ...
-    def read(self, x: ArrayLike, y: ArrayLike) -> Floats: ...
+    def __call__(self, state: ArrayLike) -> _Floats: ...
+    def read(self, x: ArrayLike, y: ArrayLike) -> _Floats: ...
     def __len__(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
@@ -857,7 +858,7 @@ class NavigatorStep:
     @property
     def y(self) -> float: ...
     @property
-    def covariance_m2(self) -> Floats: ...
+    def covariance_m2(self) -> _Floats: ...
     @property
     def outcome(self) -> Literal["updated", "predicted", "rejected", "off_field"]: ...
     @property
@@ -873,7 +874,7 @@ class FieldNavigator:
         cls,
         model: RectangularHarmonicModel | GridMap | HarmonicMap | FieldSensor,
         *,
-        start: Sequence[float] | Floats,
+        start: Sequence[float] | _Floats,
         covariance_m2: ArrayLike,
         reading_sigma: ArrayLike,
         position_noise_m2_s: float = 0.01,
@@ -883,13 +884,13 @@ class FieldNavigator:
         heading_walk_deg: float = 0.0,
         bias_sigma: float = 0.0,
         bias_walk: float = 0.0,
-        gate: float | None = 0.9999,
+        gate: float | None = ...,
         field_sigma: bool = True,
         method: Literal["unscented", "extended"] = "unscented",
         alpha: float = 1.0,
         beta: float = 2.0,
         kappa: float = 0.0,
-        reading: Reading = "vector",
+        reading: _Reading = "vector",
         main_field: ArrayLike | None = None,
         down_m: float | None = None,
         height_m: float | None = None,
@@ -898,15 +899,15 @@ class FieldNavigator:
     def step(
         self, dt_s: float, speed_m_s: float, course_deg: float, reading: ArrayLike | None = None
     ) -> NavigatorStep: ...
-    def bound(self, path: ArrayLike, dt_s: float, speed_m_s: float, course_deg: float) -> Floats: ...
+    def bound(self, path: ArrayLike, dt_s: float, speed_m_s: float, course_deg: float) -> _Floats: ...
     @property
     def position(self) -> tuple[float, float]: ...
     @property
-    def covariance_m2(self) -> Floats: ...
+    def covariance_m2(self) -> _Floats: ...
     @property
-    def x(self) -> Floats: ...
+    def x(self) -> _Floats: ...
     @property
-    def P(self) -> Floats: ...
+    def P(self) -> _Floats: ...
     @property
     def speed_error_m_s(self) -> tuple[float, float] | None: ...
     @property
@@ -935,11 +936,11 @@ def match_posterior(
     grid: GridMap,
     track: Track,
     *,
-    half_width: Pair,
+    half_width: _Pair,
     sigma: float | None = None,
     tolerance_m: float | None = None,
     max_risk: float = 0.01,
-    step: Pair | None = None,
+    step: _Pair | None = None,
     bias_sigma: float | None = None,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
@@ -956,11 +957,11 @@ def match_posterior_many(
     grid: GridMap,
     tracks: Sequence[Track],
     *,
-    half_width: Pair,
+    half_width: _Pair,
     sigma: float | None = None,
     tolerance_m: float | None = None,
     max_risk: float = 0.01,
-    step: Pair | None = None,
+    step: _Pair | None = None,
     bias_sigma: float | None = None,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
@@ -971,13 +972,13 @@ def match_posterior_many(
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
     streaming: bool = False,
-    progress: Progress = None,
+    progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
     grid: GridMap,
     tracks: Sequence[Track],
     *,
-    half_width: Pair,
+    half_width: _Pair,
     sigma: float | None = None,
     tolerance_m: float | None = None,
     max_risk: float = 0.01,
@@ -988,13 +989,13 @@ def predict_many(
     nu: float | None = None,
     flights: int = 20,
     seed: int = 0,
-    progress: Progress = None,
+    progress: _Progress = None,
 ) -> list[Prediction | None]: ...
 
 @final
 class PosteriorStep:
     @property
-    def status(self) -> Status: ...
+    def status(self) -> _Status: ...
     @property
     def n_feasible(self) -> int: ...
     @property
@@ -1010,11 +1011,11 @@ class PosteriorMatcher:
         cls,
         grid: GridMap,
         *,
-        half_width: Pair,
+        half_width: _Pair,
         sigma: float | None = None,
         tolerance_m: float | None = None,
         max_risk: float = 0.01,
-        step: Pair | None = None,
+        step: _Pair | None = None,
         bias_sigma: float | None = None,
         drift_sigma_m: float = 0.0,
         heading_sigma_deg: float = 0.0,
@@ -1041,9 +1042,9 @@ class PosteriorMatcher:
 @final
 class Prediction:
     @property
-    def bound_m2(self) -> Floats: ...
+    def bound_m2(self) -> _Floats: ...
     @property
-    def covariance_m2(self) -> Floats: ...
+    def covariance_m2(self) -> _Floats: ...
     @property
     def samples_to_fix(self) -> int | None: ...
     @property
@@ -1064,8 +1065,8 @@ def _minimum_curvature(
     *,
     aspect: float,
     sweeps: int = 400,
-    progress: Progress = None,
-) -> Floats: ...
+    progress: _Progress = None,
+) -> _Floats: ...
 def _distance_to_data(
     x: ArrayLike,
     y: ArrayLike,
@@ -1073,4 +1074,4 @@ def _distance_to_data(
     y_axis: tuple[float, float, int],
     *,
     cell_m: tuple[float, float],
-) -> Floats: ...
+) -> _Floats: ...

@@ -299,7 +299,8 @@ def calibrate_simulated(
     the sequence. Heading and drift are told to the matcher by their size, as an INS specification would.
     """
     rng = np.random.default_rng(seed)
-    tracks, truth = [], []
+    tracks: list[Track] = []
+    truth: list[Any] = []
     cell = np.array(grid.spacing)
     low = np.array([grid.x[0], grid.y[0]])
     high = np.array([grid.x[-1], grid.y[-1]])

@@ -221,7 +221,9 @@ class _Axes:
         return float(np.sqrt(self.cell_m[0] * self.cell_m[1]))
 
     def coordinates(self) -> tuple[Array, Array]:
-        return self.x[0] + self.x[1] * np.arange(self.x[2]), self.y[0] + self.y[1] * np.arange(self.y[2])
+        x = np.asarray(self.x[0] + self.x[1] * np.arange(self.x[2]), dtype=np.float64)
+        y = np.asarray(self.y[0] + self.y[1] * np.arange(self.y[2]), dtype=np.float64)
+        return x, y
 
 
 def _grid(lines: list[Lines], axes: _Axes, method: str) -> tuple[Array, Array]:
@@ -229,10 +231,10 @@ def _grid(lines: list[Lines], axes: _Axes, method: str) -> tuple[Array, Array]:
     x = np.concatenate([one.x for one in lines])
     y = np.concatenate([one.y for one in lines])
     values = np.concatenate([one.values for one in lines])
-    distance = cast(Array, _distance_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m))
+    distance = _distance_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m)
     if method == "minimum_curvature":
         surface = _minimum_curvature(x, y, values, axes.x, axes.y, aspect=axes.cell_m[0] / axes.cell_m[1])
-        return cast(Array, surface), distance
+        return surface, distance
     if method not in ("linear", "cubic"):
         raise InvalidInputError(f"method: needed 'minimum_curvature', 'linear' or 'cubic', got '{method}'")
     interpolate = require("scipy.interpolate", "survey", f"gridding by method '{method}'")
@@ -260,7 +262,7 @@ def _smooth(values: Array, known: npt.NDArray[np.bool_], radius: float) -> Array
             n = a.shape[axis]
             upper = np.take(total, np.arange(n) + 2 * half + 1, axis=axis)
             a = upper - np.take(total, np.arange(n), axis=axis)
-        return a / (2 * half + 1) ** 2
+        return np.asarray(a / (2 * half + 1) ** 2, dtype=np.float64)
 
     weight = known.astype(float)
     filled = np.where(known, values, 0.0)
@@ -292,7 +294,7 @@ def _noise(lines: list[Lines]) -> float:
     second = np.concatenate([np.diff(one.values, 2) for one in lines])
     rounding = np.abs(np.diff(np.unique(np.concatenate([one.values[:200] for one in lines[:50]]))))
     floor = float(rounding[rounding > 0].min()) / np.sqrt(12) if np.any(rounding > 0) else 0.0
-    return max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6), floor, 1e-9)
+    return float(max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6), floor, 1e-9))
 
 
 @dataclass(frozen=True)
@@ -540,7 +542,7 @@ def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
     about them.
     """
     axes = _Axes.of(grid)
-    distance = cast(Array, _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m))
+    distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
     values = np.where(distance <= 4 * model.line_spacing_m, np.asarray(grid.values, dtype=float), np.nan)
     gradient, curvature = _features(values, distance, axes)
     law = _Law(model.noise, 0.5 * model.line_spacing_m, axes.cell)

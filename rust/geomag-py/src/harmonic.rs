@@ -319,7 +319,7 @@ fn labels(object: &Bound<'_, PyAny>) -> PyRes<Vec<u64>> {
         let item = item?;
         let next = seen.len() as u64;
         if let Some(known) = seen.get_item(&item)? {
-            out.push(known.extract()?)
+            out.push(known.extract()?);
         } else {
             seen.set_item(item, next)?;
             out.push(next);

@@ -219,7 +219,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         })
         .collect();
     let fit = LocalFit::new(field, track, search, &moved, &placements);
-    let goodness = search.goodness(refined.least, fit.samples);
+    let goodness = search.goodness(&fit);
     let status = if edge {
         Status::AtEdge
     } else if goodness.is_some_and(|p| p < REJECT) {
@@ -277,14 +277,12 @@ fn search_surface(
 }
 
 impl GridSearch {
-    /// p-value of the residuals where the caller has said what their standard deviation is: chi-square, two positions
-    /// (and a mean) estimated.
-    fn goodness(&self, least: f64, samples: usize) -> Option<f64> {
-        let estimated = 2 + usize::from(self.remove_mean);
-        match (self.criterion, self.robust, self.sigma) {
-            (Criterion::Msd, None, Some(sigma)) if samples > estimated && self.weights.is_none() => {
-                let chi_square = samples as f64 * least / (sigma * sigma);
-                Some(1.0 - chi_square_cdf(chi_square, samples - estimated))
+    /// p-value of the residuals where the caller has said what their standard deviation is: chi-square at the minimum of
+    /// the linearised fit, which the quadratic through lattice scores only comes near to.
+    fn goodness(&self, fit: &LocalFit) -> Option<f64> {
+        match (self.criterion, self.robust, self.sigma, fit.least_squares) {
+            (Criterion::Msd, None, Some(sigma), Some((squares, freedom))) if self.weights.is_none() => {
+                Some(1.0 - chi_square_cdf(squares / (sigma * sigma), freedom))
             }
             _ => None,
         }

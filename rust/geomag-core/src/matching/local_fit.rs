@@ -17,6 +17,9 @@ pub(super) struct LocalFit {
     pub bias: Option<f64>,
     /// Covariance of the newest position, square metres, east-north.
     pub covariance_m2: Option<[[f64; 2]; 2]>,
+    /// Sum of squared residuals (weighted) at the minimum of the linearised fit, and what is left of the samples after
+    /// its unknowns.
+    pub least_squares: Option<(f64, usize)>,
     /// Whether the curvature has a direction without information.
     flat: bool,
 }
@@ -70,7 +73,7 @@ impl LocalFit {
         let mean = rows.iter().map(|r| r.1 * r.2).sum::<f64>() / total;
         let bias = (search.remove_mean && total > 0.0).then_some(mean);
         let parameters = rows.first().map_or(0, |r| r.0.len());
-        let none = Self { samples, bias, covariance_m2: None, flat: true };
+        let none = Self { samples, bias, covariance_m2: None, least_squares: None, flat: true };
         if samples < parameters.max(2) || total <= 0.0 {
             return none;
         }
@@ -125,7 +128,10 @@ impl LocalFit {
             let at = |i: usize, j: usize| noise * scale * inverse[(i, j)] / (norms[i] * norms[j]);
             [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]]
         });
-        Self { samples, bias, covariance_m2, flat: false }
+        let squares: f64 = rows.iter().map(|(_, r, w)| w * r * r).sum();
+        let explained = right.dot(&(&inverse * &right));
+        let least_squares = (samples > parameters).then(|| ((squares - explained).max(0.0), samples - parameters));
+        Self { samples, bias, covariance_m2, least_squares, flat: false }
     }
 
     /// Whether the position is no better known than the search itself.
