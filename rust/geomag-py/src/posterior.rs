@@ -67,6 +67,67 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
     Ok(out)
 }
 
+/// Match a whole track and declare the risk that the answer is wrong.
+///
+/// For fixes that somebody will act on. Not for tracks known to within tens of kilometres only on flat maps: it will decline.
+///
+/// Parameters
+/// ----------
+/// grid : GridMap
+///     The stored map. What is known of its errors goes with it: `sigma=`, or `geomag.survey.map_from_lines`.
+/// track : Track
+///     Indicated positions and measured values.
+/// half_width : float or (float, float)
+///     Bound of the INS error (x, y), map units.
+/// sigma : float, optional
+///     Standard deviation of the sensor, value units; by default what the map's own lines say.
+/// tolerance_m : float, optional
+///     A fix is wrong when its error is beyond this, metres; one map cell by default.
+/// max_risk : float
+///     Declared risk up to which an answer is a fix.
+/// step : float or (float, float), optional
+///     Lattice step, map units; chosen from the map and the tolerance by default.
+/// bias_sigma : float, optional
+///     Standard deviation of the unknown constant, value units; None for an unbounded one, 0 for none.
+/// drift_sigma_m : float
+///     Growth of the INS error over the track, one standard deviation, metres.
+/// heading_sigma_deg, scale_sigma : float
+///     Standard deviations of heading and scale errors of the track.
+/// position_sigma_m : float
+///     Standard deviation of each position about the track, metres.
+/// nu : float, optional
+///     Degrees of freedom of the Student-t residuals; from the map's errors by default.
+/// min_overlap : float
+///     Share of the samples that a candidate must have on the map.
+/// min_goodness : float
+///     p-value of the residuals under which the answer is rejected.
+/// max_candidates : int
+///     A larger lattice is refused before memory is taken.
+/// surface : bool
+///     Return the posterior over the offsets as `Fix.surface`.
+/// more : sequence of (GridMap, values, sigma), optional
+///     Further fields measured along the same track, each with its own map.
+///
+/// Returns
+/// -------
+/// Fix
+///     With `risk`, `covariance_m2` and `goodness`.
+///
+/// Raises
+/// ------
+/// InvalidInputError, CandidateLimitError
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 6000.0, 50.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 400)[None, :] * np.cos(x / 500)[:, None], x, x, sigma=0.0)
+/// >>> k = np.arange(30.0)
+/// >>> noise = np.random.default_rng(1).normal(0, 1, 30)
+/// >>> track = geomag.Track(1000 + 90 * k, 2000 + 40 * k, grid.sample(1210 + 90 * k, 1875 + 40 * k) + noise)
+/// >>> fix = geomag.match_posterior(grid, track, half_width=500, sigma=1.0, tolerance_m=100)
+/// >>> fix.ok, fix.risk < 0.01
+/// (True, True)
 #[pyfunction]
 #[pyo3(signature = (grid, track, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
     bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
@@ -120,6 +181,39 @@ pub fn match_posterior(
     Ok(fix.into())
 }
 
+/// `match_posterior` for many tracks on one map, on all cores; with `streaming=True` each is fed sample by sample to a
+/// `PosteriorMatcher` and answers at its first fix.
+///
+/// Parameters
+/// ----------
+/// grid : GridMap
+///     The stored map. What is known of its errors goes with it: `sigma=`, or `geomag.survey.map_from_lines`.
+/// tracks : sequence of Track
+/// half_width : float or (float, float)
+///     Bound of the INS error (x, y), map units.
+/// sigma : float, optional
+///     Standard deviation of the sensor, value units; by default what the map's own lines say.
+/// tolerance_m : float, optional
+///     A fix is wrong when its error is beyond this, metres; one map cell by default.
+/// max_risk : float
+///     Declared risk up to which an answer is a fix.
+/// step : float or (float, float), optional
+///     Lattice step, map units; chosen from the map and the tolerance by default.
+/// bias_sigma : float, optional
+///     Standard deviation of the unknown constant, value units; None for an unbounded one, 0 for none.
+/// drift_sigma_m : float
+///     Growth of the INS error over the track, one standard deviation, metres.
+/// heading_sigma_deg, scale_sigma : float
+///     Standard deviations of heading and scale errors of the track.
+/// position_sigma_m : float
+///     Standard deviation of each position about the track, metres.
+/// nu : float, optional
+///     Degrees of freedom of the Student-t residuals; from the map's errors by default.
+///
+/// Returns
+/// -------
+/// list of Fix
+///     In the order of the tracks.
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
     bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
@@ -378,6 +472,40 @@ impl PyPrediction {
     }
 }
 
+/// Predict, before flight, how planned tracks would be fixed: Cramer-Rao bound, expected covariance, share of simulated
+/// flights that are fixed and how soon.
+///
+/// Parameters
+/// ----------
+/// grid : GridMap
+///     The stored map. What is known of its errors goes with it: `sigma=`, or `geomag.survey.map_from_lines`.
+/// tracks : sequence of Track
+///     Planned positions; the values are not used.
+/// half_width : float or (float, float)
+///     Bound of the INS error (x, y), map units.
+/// sigma : float, optional
+///     Standard deviation of the sensor, value units; by default what the map's own lines say.
+/// tolerance_m : float, optional
+///     A fix is wrong when its error is beyond this, metres; one map cell by default.
+/// max_risk : float
+///     Declared risk up to which an answer is a fix.
+/// bias_sigma : float, optional
+///     Standard deviation of the unknown constant, value units; None for an unbounded one, 0 for none.
+/// drift_sigma_m : float
+///     Growth of the INS error over the track, one standard deviation, metres.
+/// heading_sigma_deg, scale_sigma : float
+///     Standard deviations of heading and scale errors of the track.
+/// nu : float, optional
+///     Degrees of freedom of the Student-t residuals; from the map's errors by default.
+/// flights : int
+///     Simulated flights a track.
+/// seed : int
+///     Of the simulated flights.
+///
+/// Returns
+/// -------
+/// list of Prediction or None
+///     None where the map is unknown along the track.
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, bias_sigma = None,
     drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, nu = None, flights = 20, seed = 0, progress = None))]
