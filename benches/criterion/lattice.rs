@@ -17,9 +17,9 @@ use geomag_core::track::Track;
 
 fn sampling(c: &mut Criterion) {
     let map = rough_map(false);
-    let at = points(1000);
-    let mut group = c.benchmark_group("sample 1000 points");
-    group.throughput(Throughput::Elements(1000));
+    let at = points(500);
+    let mut group = c.benchmark_group("sample 500 points");
+    group.throughput(Throughput::Elements(500));
     for (name, method) in [("bilinear", Interpolation::Bilinear), ("bicubic", Interpolation::Bicubic)] {
         group.bench_function(name, |b| {
             b.iter(|| at.iter().map(|p| map.sample_and_gradient(p[0], p[1], method).0).sum::<f64>());

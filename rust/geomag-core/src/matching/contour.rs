@@ -112,7 +112,7 @@ impl ContourOptions {
 /// contour is a status of the fix.
 ///
 /// ```
-/// use geomag_core::grid::{GridMap, GridValues};
+/// use geomag_core::grid::{GridMap, GridValues, Interpolation};
 /// use geomag_core::matching::contour::{ContourOptions, match_contour};
 /// use geomag_core::matching::transform::TransformKind;
 /// use geomag_core::track::Track;
@@ -124,7 +124,7 @@ impl ContourOptions {
 /// let track = Track::new(
 ///     truth.iter().map(|p| p[0] - 120.0).collect(),
 ///     truth.iter().map(|p| p[1] + 80.0).collect(),
-///     truth.iter().map(|p| field(p[0], p[1])).collect(),
+///     truth.iter().map(|p| map.sample(p[0], p[1], Interpolation::Bilinear)).collect(),
 ///     None,
 /// )?;
 /// let options =
