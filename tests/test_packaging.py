@@ -51,6 +51,7 @@ print("light")
     assert run(code).strip() == "light"
 
 
+@whole
 def test_import_is_fast():
     """Under 100 ms over NumPy's own: the best of several, for other programs run on this machine too."""
     code = "import time, numpy; t = time.perf_counter(); import geomag; print(time.perf_counter() - t)"
