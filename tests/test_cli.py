@@ -192,3 +192,9 @@ def test_reproduce_quickly(tmp_path, capsys, data):
 def test_module_and_version():
     out = subprocess.run([sys.executable, "-m", "geomag", "--version"], capture_output=True, text=True, check=True)
     assert geomag.__version__ in out.stdout
+
+
+def test_bench_compares_answers(capsys):
+    status, out, _ = call(capsys, "bench", "--quick")
+    assert status == 0
+    assert "NumPy slices" in out
