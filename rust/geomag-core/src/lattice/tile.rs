@@ -13,6 +13,8 @@ pub(super) const TILE_ROWS: usize = 8;
 pub(super) const TILE_COLUMNS: usize = 256;
 /// Sums that a measure may keep.
 pub const MAX_SLOTS: usize = 5;
+/// Bytes of a cache line: a vector that straddles two costs two accesses.
+const LINE: usize = 64;
 /// Count and weight, kept before a measure's own sums where samples differ between offsets.
 const OWN: usize = 2;
 
@@ -42,6 +44,8 @@ pub trait Measure: Copy + Send + Sync {
 #[derive(Debug, Default)]
 pub(super) struct TileSums<T> {
     sums: Vec<T>,
+    /// Where the sums begin, on a cache line.
+    start: usize,
     /// Horizontal interpolation of the node row below the current offsets.
     below: Vec<T>,
     /// A node row that hangs over the map's border, NaN outside.
@@ -55,7 +59,7 @@ pub(super) struct TileSums<T> {
 impl<T: Real> TileSums<T> {
     fn at(&self, r: usize, c: usize, slot: usize) -> f64 {
         let (vector, lane) = (c / self.lanes, c % self.lanes);
-        self.sums[((r * self.vectors + vector) * self.slots + slot) * self.lanes + lane].to_f64()
+        self.sums[self.start + ((r * self.vectors + vector) * self.slots + slot) * self.lanes + lane].to_f64()
     }
 
     /// Samples that the offset has a map value for; kept only where [`Tile::sum`] says so.
@@ -135,6 +139,13 @@ impl<T: Real> Tile<'_, T> {
     }
 }
 
+/// Makes room for `len` numbers that begin on a cache line, and says where.
+fn aligned<T: Real>(buffer: &mut Vec<T>, len: usize) -> usize {
+    let spare = LINE / size_of::<T>();
+    buffer.resize(len + spare, T::default());
+    buffer.as_ptr().align_offset(LINE).min(spare)
+}
+
 struct SumTile<'a, 'b, T, M, const FULL: bool> {
     tile: Tile<'a, T>,
     sums: &'b mut TileSums<T>,
@@ -155,8 +166,8 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for SumTile<'_, '_, T, M, F
         sums.slots = slots;
         sums.own = if FULL { OWN } else { 0 };
         sums.sums.clear();
-        sums.sums.resize(tile.rows * vectors * slots * lanes, T::default());
-        sums.below.resize(TILE_COLUMNS.max(vectors * lanes), T::default());
+        sums.start = aligned(&mut sums.sums, tile.rows * vectors * slots * lanes);
+        let below_start = aligned(&mut sums.below, TILE_COLUMNS.max(vectors * lanes));
         for (k, shift) in tile.shifts.iter().enumerate() {
             let [dx, dy] = shift.next();
             let sample = Sample::<S, T> {
@@ -168,7 +179,7 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for SumTile<'_, '_, T, M, F
             };
             let column = shift.column + tile.first_column;
             let len = tile.columns + dx as usize;
-            let below = T::vectors_mut::<S>(&mut sums.below);
+            let below = T::vectors_mut::<S>(&mut sums.below[below_start..]);
             if dy != 0 {
                 let nodes = tile.nodes(shift.row, column, len, &mut sums.overhang);
                 sample.along(&nodes[..tile.columns], &nodes[dx as usize..], below);
@@ -176,7 +187,7 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for SumTile<'_, '_, T, M, F
             let width = vectors * slots * lanes;
             for r in 0..tile.rows {
                 let nodes = tile.nodes(shift.row + r as i64 + dy, column, len, &mut sums.overhang);
-                let row = T::vectors_mut::<S>(&mut sums.sums[r * width..(r + 1) * width]);
+                let row = T::vectors_mut::<S>(&mut sums.sums[sums.start + r * width..sums.start + (r + 1) * width]);
                 let (a, b) = (&nodes[..tile.columns], &nodes[dx as usize..]);
                 if dy == 0 {
                     sample.row::<M, FULL, false>(measure, a, b, below, row);
