@@ -1,4 +1,4 @@
-"""`geomag calibrate` and `geomag suitability`: does the declared risk hold, and where can one fix."""
+"""`geomag calibrate`: does the declared risk hold."""
 
 from __future__ import annotations
 
