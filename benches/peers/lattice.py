@@ -6,21 +6,11 @@ IEMA step. Times are the best of several; the table holds ratios as well, which 
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 import geomag
-
-
-def best_of(repeats, work):
-    took, answer = np.inf, None
-    for _ in range(repeats):
-        start = time.perf_counter()
-        answer = work()
-        took = min(took, time.perf_counter() - start)
-    return took, answer
+from geomag.cli.bench import best_of, numpy_slices
 
 
 def rough(side, seed=0):
@@ -60,18 +50,6 @@ def scipy_surface(values, xs, ys, measured, half):
     return out / len(xs)
 
 
-def numpy_surface(values, xs, ys, measured, half):
-    n = 2 * half + 1
-    out = np.zeros((n, n))
-    for x, y, v in zip(xs, ys, measured, strict=True):
-        i, j = int(x) - half, int(y) - half
-        tx, ty = x - int(x), y - int(y)
-        block = values[j : j + n + 1, i : i + n + 1]
-        rows = block[:, :-1] * (1 - tx) + block[:, 1:] * tx
-        out += (rows[:-1] * (1 - ty) + rows[1:] * ty - v) ** 2
-    return out / len(xs)
-
-
 def grid_search_table(smoke):
     rows = []
     cases = [(21, 10), (201, 50)] if smoke else [(21, 10), (201, 50), (1001, 100)]
@@ -97,7 +75,7 @@ def grid_search_table(smoke):
             compiled(values, xs, ys, measured, min(half, 2))
             for name, work in (
                 ("Numba loop, parallel", compiled),
-                ("NumPy slices", numpy_surface),
+                ("NumPy slices", numpy_slices),
                 ("scipy map_coordinates", scipy_surface),
             ):
                 slow = side > 500 and name.startswith("scipy")

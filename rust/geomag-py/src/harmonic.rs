@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
 use crate::arrays::{array, broadcast, matrix, pair, shaped, vector};
-use crate::error::{PyRes, invalid};
+use crate::error::{PyRes, file_error, invalid};
 use crate::frame::{PyLocalFrame, stacked, vectors};
 use crate::grid::PyGridMap;
 use crate::long_call;
@@ -791,15 +791,6 @@ trait IntoFlattenedVec {
 impl<const N: usize> IntoFlattenedVec for [[f64; 2]; N] {
     fn into_flattened_vec(self) -> Vec<f64> {
         self.into_iter().flatten().collect()
-    }
-}
-
-fn file_error(path: &std::path::Path, error: &std::io::Error) -> PyErr {
-    match error.kind() {
-        std::io::ErrorKind::NotFound => {
-            pyo3::exceptions::PyFileNotFoundError::new_err(format!("{}: {error}", path.display()))
-        }
-        _ => pyo3::exceptions::PyOSError::new_err(format!("{}: {error}", path.display())),
     }
 }
 

@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result, require_positive};
 use crate::lattice::{Comparison, MAX_SLOTS, Measure, Real};
 use crate::monitor::Monitor;
+use crate::track::Track;
 
 /// Which measure compares the sequences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,6 +37,29 @@ pub enum Criterion {
 }
 
 impl Criterion {
+    /// The Hausdorff measure with the scales that are left open taken from a track: its mean sample spacing, and the
+    /// standard deviation of its values.
+    pub fn hausdorff_for(
+        track: &Track,
+        geographic: bool,
+        length_scale_m: Option<f64>,
+        value_scale: Option<f64>,
+        fraction: f64,
+    ) -> Self {
+        let positive = |scale: f64| if scale > 0.0 { scale } else { 1.0 };
+        let n = track.len() as f64;
+        let spacing = || track.distance_m(geographic).last().map_or(0.0, |length| length / (n - 1.0).max(1.0));
+        let spread = || {
+            let mean = track.values().iter().sum::<f64>() / n;
+            (track.values().iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
+        };
+        Self::Hausdorff {
+            length_scale_m: length_scale_m.unwrap_or_else(|| positive(spacing())),
+            value_scale: value_scale.unwrap_or_else(|| positive(spread())),
+            fraction,
+        }
+    }
+
     /// The name used in Python, JSON and reports.
     pub const fn as_str(self) -> &'static str {
         match self {
