@@ -2,7 +2,7 @@
 
 Lines are dense along and sparse across, so what lies between them is for the prior to say: variances that fall with a power
 of the wave number and with the depth of the sources, by another measure along the strike than across it. `model_from_lines`
-chooses all of it by leaving out whole lines, and learns from the same what sigma agrees with the errors. `compare_with_map`
+takes it as told, or chooses by leaving out whole lines, and learns from the same what sigma agrees with the errors. `compare_with_map`
 leaves out lines once more, from choice and fit alike, and sets the errors beside those of a gridded map of the same lines.
 
 Source: geomag's own; the prior is that of Maus and Dimri 1994, doi 10.1029/94GL00771.
@@ -23,13 +23,12 @@ from geomag.survey import Lines, _Axes, _grid, folds_of
 
 Array = npt.NDArray[np.float64]
 
-#: What is chosen from: ridges, depths of the sources (metres), ratios of the wave numbers along north and east.
-RIDGES = (1e-6, 1e-5, 1e-4)
-DAMPINGS_M = (60.0, 120.0, 200.0)
-ANISOTROPIES = (0.8, 1.0, 1.25, 1.5)
-#: Power of the wave number by which the prior variances fall.
+#: The prior of crustal anomalies at some 100 m above ground: power of the wave number by which variances fall, depth of the
+#: sources, and ratio of noise to signal. Found on parts of one aeromagnetic survey, kept on others (docs/guide/harmonic.md).
 SPECTRUM_POWER = 4.0
-PERIOD_RATIO = 1.3
+DAMPING_M = 120.0
+RIDGE = 1e-5
+PERIOD_RATIO = 1.6
 
 
 @dataclass(frozen=True)
@@ -84,14 +83,17 @@ def _fit(
         raise TooFewSamplesError("lines: needed lines in at least two parts to choose from, got one")
     told = {"spectrum_power": SPECTRUM_POWER, **options, "groups": part[keep], "folds": folds}
     ratio = float(told.pop("period_ratio", PERIOD_RATIO))
-    best, _ = RectangularHarmonicModel.select(observations, period_ratio=ratio, **told)
-    chosen = {name: best[name] for name in ("ridge", "damping_m", "spectrum_power", "anisotropy")}
-    order = int(best["order"])
+    names = ("order", "ridge", "damping_m", "spectrum_power", "anisotropy")
+    if all(np.ndim(told[name]) == 0 for name in names):
+        best = {name: told[name] for name in names}
+    else:
+        best, _ = RectangularHarmonicModel.select(observations, period_ratio=ratio, **told)
+    chosen = {name: best[name] for name in names}
     model = RectangularHarmonicModel.fit_observations(
-        observations, **{**told, **chosen, "order": order}, periods_m=tuple(ratio * extent), misfit=True,
+        observations, **{**told, **chosen}, periods_m=tuple(ratio * extent), misfit=True,
         frame=placed.frame,
     )  # fmt: skip
-    return model, {"order": order, **chosen}
+    return model, chosen
 
 
 def _options(
@@ -116,10 +118,10 @@ def model_from_lines(
     height_m: npt.ArrayLike,
     main_field: npt.ArrayLike,
     *,
-    order: int | Sequence[int] = 18,
-    ridge: float | Sequence[float] = RIDGES,
-    damping_m: float | Sequence[float] = DAMPINGS_M,
-    anisotropy: float | Sequence[float] = ANISOTROPIES,
+    order: int | Sequence[int] = 22,
+    ridge: float | Sequence[float] = RIDGE,
+    damping_m: float | Sequence[float] = DAMPING_M,
+    anisotropy: float | Sequence[float] = 1.0,
     folds: int = 5,
     **options: Any,  # noqa: ANN401 - those of fit_observations
 ) -> RectangularHarmonicModel:
@@ -130,7 +132,8 @@ def model_from_lines(
     lines : the survey: positions in metres or degrees, anomalies in nT.
     height_m : height of every point, shape (n,), or one for all, metres.
     main_field : main field (north, east, down) at the middle; its direction counts.
-    order, ridge, damping_m, anisotropy : one each, or several that leaving out whole lines decides between.
+    order, ridge, damping_m, anisotropy : one each, or several that leaving out whole lines decides between. A few dozen
+        lines decide poorly: where the strike is known, tell `anisotropy` (above 1 for features longer to the north).
     folds : parts that the lines are dealt to, neighbours to different ones.
     **options : of `RectangularHarmonicModel.fit_observations`, such as `huber` or `spectrum_power`.
 
@@ -205,10 +208,10 @@ def compare_with_map(
     height_m: npt.ArrayLike,
     main_field: npt.ArrayLike,
     *,
-    order: int | Sequence[int] = 18,
-    ridge: float | Sequence[float] = RIDGES,
-    damping_m: float | Sequence[float] = DAMPINGS_M,
-    anisotropy: float | Sequence[float] = ANISOTROPIES,
+    order: int | Sequence[int] = 22,
+    ridge: float | Sequence[float] = RIDGE,
+    damping_m: float | Sequence[float] = DAMPING_M,
+    anisotropy: float | Sequence[float] = 1.0,
     folds: int = 5,
     progress: Callable[[int, int], object] | None = None,
     **options: Any,  # noqa: ANN401 - those of fit_observations

@@ -178,6 +178,12 @@ impl RectangularHarmonicModel {
         self
     }
 
+    /// The same field with zero at a level: all points on that plane are then the cheap ones. The coefficients as they are
+    /// told are not changed, nor is the region.
+    pub(crate) fn seen_from(&self, down_m: f64) -> Self {
+        Self { packed: self.packed.seen_from(down_m), ..self.clone().without_covariance() }
+    }
+
     /// What its sigma is made of besides the covariance of the coefficients.
     pub fn misfit(&self) -> Misfit {
         self.misfit

@@ -450,8 +450,8 @@ fn drawn_from_the_prior(prior: Prior, noise: f64, seed: u64) -> (Observations, V
 fn the_prior_of_the_field_predicts_best_and_knows_how_well() {
     let truth = Prior { damping_m: 100.0, power: 3.0, anisotropy: 1.4 };
     let (observations, groups) = drawn_from_the_prior(truth, 2.0, 5);
-    // Columns are scaled to unit norm: half of 1,200 rows of unit field is what the ridge is a share of.
-    let ridge = 2.0_f64.powi(2) / 100.0_f64.powi(2) / 600.0;
+    // Columns are scaled to unit norm: of a product of two waves of unit field that is about a quarter of 1,200 rows.
+    let ridge = 2.0_f64.powi(2) / 100.0_f64.powi(2) / 300.0;
     let others = [
         Prior::default(),
         Prior { anisotropy: 1.0 / 1.4, ..truth },
