@@ -1,4 +1,5 @@
 //! The lattice kernels against sums over single map values, wherever the lattice lies on the map.
+#![allow(clippy::unwrap_used)]
 
 use geomag_core::grid::{GridMap, GridValues, Interpolation};
 use geomag_core::lattice::{BestTwo, Comparison, OffsetLattice};

@@ -143,10 +143,10 @@ impl<'a> Comparison<'a> {
         if let Some((grid, classes)) = self.fast() {
             match grid.values() {
                 GridValues::F64(v) => {
-                    self.scores_fast(measure, grid, v, classes, rows, columns, best, &mut out, monitor)?
+                    self.scores_fast(measure, grid, v, classes, rows, columns, best, &mut out, monitor)?;
                 }
                 GridValues::F32(v) => {
-                    self.scores_fast(measure, grid, v, classes, rows, columns, best, &mut out, monitor)?
+                    self.scores_fast(measure, grid, v, classes, rows, columns, best, &mut out, monitor)?;
                 }
             }
         } else {

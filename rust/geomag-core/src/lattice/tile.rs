@@ -175,7 +175,7 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { tile, scores, measure } = self;
-        let slots = if FULL { OWN + M::SLOTS_WEIGHTED } else { M::SLOTS };
+        let slots = Self::SLOTS;
         let lanes = T::lanes::<S>();
         let pairs = tile.columns.div_ceil(PAIR * lanes);
         let (rows, columns) = (tile.rows, tile.columns);
@@ -212,26 +212,15 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
                 let weight = tile.weights.map_or(T::from_f64(1.0), |w| w[k]);
                 Sample::new(&tile.shifts[k], nodes, stride, tile.measured[k], weight)
             });
-            // The limit falls as other tiles are finished.
-            let limit =
-                contest.map(|best| best.limit() * tile.total_weight).filter(|limit| limit.is_finite() && first > 0);
-            let own = if FULL { OWN } else { 0 };
+            // The limit falls as other tiles are finished; what rounding leaves undecided is worked out.
+            let limit = contest.filter(|_| first > 0).map(|best| best.limit() * tile.total_weight * (1.0 + 1e-12));
             for (i, sums) in sums.chunks_exact_mut(pair * lanes).enumerate() {
                 if scores.given_up[i] {
                     continue;
                 }
-                if let Some(limit) = limit {
-                    let mut least = [T::from_f64(f64::INFINITY); MAX_LANES];
-                    for vector in sums.chunks_exact(slots * lanes) {
-                        for (least, &sum) in least.iter_mut().zip(&vector[own * lanes..(own + 1) * lanes]) {
-                            *least = if sum < *least { sum } else { *least };
-                        }
-                    }
-                    let least = least[..lanes].iter().fold(f64::INFINITY, |a, b| a.min(b.to_f64()));
-                    scores.given_up[i] = least > limit;
-                    if scores.given_up[i] {
-                        continue;
-                    }
+                scores.given_up[i] = limit.is_some_and(|limit| Self::least_sum(sums, lanes) > limit);
+                if scores.given_up[i] {
+                    continue;
                 }
                 let sums = T::vectors_mut::<S>(sums);
                 let block = Block { simd, measure, samples: &samples[..group], column: i * PAIR * lanes };
@@ -250,35 +239,49 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
         }
         scores.scores.clear();
         scores.scores.resize(rows * columns, f64::NAN);
-        let (samples, min_samples) = (tile.shifts.len() as f64, tile.min_samples as f64);
-        for (i, sums) in sums.chunks_exact(pair * lanes).enumerate() {
-            if scores.given_up[i] {
-                continue;
-            }
-            for (r, sums) in sums.chunks_exact(PAIR * slots * lanes).enumerate() {
-                for (p, sums) in sums.chunks_exact(slots * lanes).enumerate() {
-                    let column = (i * PAIR + p) * lanes;
-                    let out = &mut scores.scores
-                        [r * columns + column.min(columns)..r * columns + (column + lanes).min(columns)];
-                    let mut all = [f64::NAN; MAX_LANES];
-                    for (lane, all) in all[..lanes].iter_mut().enumerate() {
-                        let mut at = [0.0; OWN + MAX_SLOTS];
-                        for slot in 0..slots {
-                            at[slot] = sums[slot * lanes + lane].to_f64();
-                        }
-                        let [count, weight] = if FULL { [at[0], at[1]] } else { [samples, tile.total_weight] };
-                        let [a, b, c, d, e] = if FULL {
-                            [at[2], at[3], at[4], at[5], at[6]]
-                        } else {
-                            [at[0], at[1], at[2], at[3], at[4]]
-                        };
-                        let score = measure.finish([a, b, c, d, e], weight, FULL);
-                        *all = if count >= min_samples && weight > 0.0 { score } else { f64::NAN };
-                    }
-                    out.copy_from_slice(&all[..out.len()]);
-                }
+        for (i, sums) in sums.chunks_exact(pair * lanes).enumerate().filter(|(i, _)| !scores.given_up[*i]) {
+            for (at, sums) in sums.chunks_exact(slots * lanes).enumerate() {
+                let (row, column) = (at / PAIR, (i * PAIR + at % PAIR) * lanes);
+                let columns = row * columns + column.min(columns)..row * columns + (column + lanes).min(columns);
+                Self::finish(&tile, measure, sums, lanes, &mut scores.scores[columns]);
             }
         }
+    }
+}
+
+impl<T: Real, M: Measure, const FULL: bool> ScoreTile<'_, '_, T, M, FULL> {
+    const SLOTS: usize = if FULL { OWN + M::SLOTS_WEIGHTED } else { M::SLOTS };
+
+    /// Least of the measure's first sums.
+    #[inline(always)]
+    fn least_sum(sums: &[T], lanes: usize) -> f64 {
+        let own = if FULL { OWN * lanes } else { 0 };
+        let mut least = [T::from_f64(f64::INFINITY); MAX_LANES];
+        for vector in sums.chunks_exact(Self::SLOTS * lanes) {
+            for (least, &sum) in least.iter_mut().zip(&vector[own..own + lanes]) {
+                *least = if sum < *least { sum } else { *least };
+            }
+        }
+        least[..lanes].iter().fold(f64::INFINITY, |a, b| a.min(b.to_f64()))
+    }
+
+    /// Scores of one vector of offsets, as many as `out` has room for.
+    #[inline(always)]
+    fn finish(tile: &Tile<'_, T>, measure: M, sums: &[T], lanes: usize, out: &mut [f64]) {
+        let (samples, min_samples) = (tile.shifts.len() as f64, tile.min_samples as f64);
+        let mut all = [f64::NAN; MAX_LANES];
+        for (lane, all) in all[..lanes].iter_mut().enumerate() {
+            let mut at = [0.0; OWN + MAX_SLOTS];
+            for slot in 0..Self::SLOTS {
+                at[slot] = sums[slot * lanes + lane].to_f64();
+            }
+            let [a, b, c, d, e, f, g] = at;
+            let (count, weight, own) =
+                if FULL { (a, b, [c, d, e, f, g]) } else { (samples, tile.total_weight, [a, b, c, d, e]) };
+            let score = measure.finish(own, weight, FULL);
+            *all = if count >= min_samples && weight > 0.0 { score } else { f64::NAN };
+        }
+        out.copy_from_slice(&all[..out.len()]);
     }
 }
 

@@ -172,7 +172,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         )
     };
 
-    let away = [2.0 * spacing[0] / step[0], 2.0 * spacing[1] / step[1]].map(|cells| (cells - 1e-9).max(1.0));
+    let away: [f64; 2] = std::array::from_fn(|d| (2.0 * spacing[d] / step[d] - 1e-9).max(1.0));
     let contest = BestTwo::new(away);
     let wanted = (!search.surface).then_some(&contest);
     let (mut surface, chosen) = search_surface(&placements, &lattice, monitor, |placement, part| {
@@ -183,12 +183,11 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     let Some(best) = least(&surface, columns, [0..0, 0..0]) else {
         return no_score(field, track, search, &lattice);
     };
-    let placement = chosen.get(best.row * columns + best.column).map_or(0, |&p| p as usize);
-    let best = Best { placement, ..best };
-    let around = |at: usize, away: f64, len: usize| {
-        let reach = away.min(len as f64).floor() as usize;
-        at.saturating_sub(reach)..(at + reach + 1).min(len)
+    let placed = |b: Best| {
+        let placement = chosen.get(b.row * columns + b.column).map_or(0, |&p| p as usize);
+        Best { placement, ..b }
     };
+    let best = placed(best);
     let near = [around(best.row, away[1], lattice.rows()), around(best.column, away[0], columns)];
     let runner_up = least(&surface, columns, near);
 
@@ -207,12 +206,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     };
     let refined = refine(best)?;
     // The runner-up is refined as the best is: one lattice point compared with a minimum would always lose.
-    let rival = runner_up
-        .map(|r| {
-            let placement = chosen.get(r.row * columns + r.column).map_or(0, |&p| p as usize);
-            refine(Best { placement, ..r })
-        })
-        .transpose()?;
+    let rival = runner_up.map(|r| refine(placed(r))).transpose()?;
     let offset = refined.offset;
     let (heading_deg, scale) = placements[best.placement];
 
@@ -220,12 +214,8 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     let newest = points[points.len() - 1];
     let indicated = track.newest();
     let offset = [newest[0] - indicated[0] + offset[0], newest[1] - indicated[1] + offset[1]];
-    let moved: Vec<[f64; 2]> = points
-        .iter()
-        .map(|p| {
-            [field.wrap_x(p[0] + offset[0] - (newest[0] - indicated[0])), p[1] + offset[1] - (newest[1] - indicated[1])]
-        })
-        .collect();
+    let [dx, dy] = [offset[0] - (newest[0] - indicated[0]), offset[1] - (newest[1] - indicated[1])];
+    let moved: Vec<[f64; 2]> = points.iter().map(|p| [field.wrap_x(p[0] + dx), p[1] + dy]).collect();
     let fit = LocalFit::new(field, track, search, &moved, &placements);
     let goodness = search.goodness(&fit);
     let status = if edge {
@@ -234,7 +224,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         Status::Rejected
     } else if fit.uninformative(field, &lattice, newest[1]) {
         Status::Uninformative
-    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, spread(track.values()))) {
+    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, track.spread())) {
         Status::Ambiguous
     } else {
         Status::Fixed
@@ -251,7 +241,9 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     fix.track = moved;
     if search.surface {
         if search.criterion.is_negated() {
-            surface.iter_mut().for_each(|score| *score = -*score);
+            for score in &mut surface {
+                *score = -*score;
+            }
         }
         fix.surface =
             Some(Surface { values: surface, rows: lattice.rows(), columns, first: lattice.offset(0, 0), step });
@@ -323,13 +315,6 @@ impl GridSearch {
     }
 }
 
-/// Standard deviation of the readings.
-fn spread(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
-}
-
 /// Progress of one placement as part of the whole.
 struct PartOf<'a> {
     inner: &'a dyn Monitor,
@@ -341,6 +326,12 @@ impl Monitor for PartOf<'_> {
     fn advance(&self, done: u64, total: u64) -> Result<()> {
         self.inner.advance(self.index * total + done, self.of * total)
     }
+}
+
+/// Indices less than `len` that are not more than `away` from one.
+fn around(at: usize, away: f64, len: usize) -> Range<usize> {
+    let reach = away.min(len as f64).floor() as usize;
+    at.saturating_sub(reach)..(at + reach + 1).min(len)
 }
 
 /// Least score among the candidates outside a block `[rows, columns]`; ties go to the smaller index.

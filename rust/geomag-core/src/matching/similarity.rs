@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result, require_positive};
 use crate::lattice::{BestTwo, Comparison, MAX_SLOTS, Measure, Real};
 use crate::monitor::Monitor;
+use crate::track::Track;
 
 /// Which measure compares the sequences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,6 +37,26 @@ pub enum Criterion {
 }
 
 impl Criterion {
+    /// The Hausdorff distance; scales that are not given are the mean sample spacing and the spread of the readings.
+    pub fn hausdorff(
+        track: &Track,
+        geographic: bool,
+        length_scale_m: Option<f64>,
+        value_scale: Option<f64>,
+        fraction: f64,
+    ) -> Self {
+        let positive = |scale: f64| if scale > 0.0 { scale } else { 1.0 };
+        let mean_spacing = || {
+            let length = track.distance_m(geographic).last().copied().unwrap_or(0.0);
+            positive(length / (track.len() as f64 - 1.0).max(1.0))
+        };
+        Self::Hausdorff {
+            length_scale_m: length_scale_m.unwrap_or_else(mean_spacing),
+            value_scale: value_scale.unwrap_or_else(|| positive(track.spread())),
+            fraction,
+        }
+    }
+
     /// The name used in Python, JSON and reports.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -471,7 +492,7 @@ impl Measure for Ncc {
         let spread_m = mm - m * m / weight;
         let spread_v = vv - v * v / weight;
         // Below rounding of its own sums a sequence is constant, and a constant correlates with nothing.
-        let constant = (spread_m <= 1e-12 * mm) | (spread_v <= 1e-12 * vv);
+        let constant = spread_m <= 1e-12 * mm || spread_v <= 1e-12 * vv;
         let score = -((mv - m * v / weight) / (spread_m * spread_v).sqrt()).clamp(-1.0, 1.0);
         if constant { f64::NAN } else { score }
     }
