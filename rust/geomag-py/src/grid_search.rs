@@ -26,7 +26,7 @@ fn criterion(
         "mad" => Criterion::Mad,
         "prod" => Criterion::Prod,
         "ncc" => Criterion::Ncc,
-        "hausdorff" => Criterion::hausdorff_for(track, geographic, length_scale_m, value_scale, fraction),
+        "hausdorff" => Criterion::hausdorff(track, geographic, length_scale_m, value_scale, fraction),
         other => return Err(invalid("criterion", "'msd', 'mad', 'prod', 'ncc' or 'hausdorff'", format!("'{other}'"))),
     })
 }

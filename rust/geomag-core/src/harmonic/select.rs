@@ -74,12 +74,9 @@ pub fn select(
     options: &FitOptions,
     monitor: &dyn Monitor,
 ) -> Result<Selection> {
-    let (Some(&highest), Some(&ratio), Some(&ridge), Some(&prior)) = (
-        choice.orders.iter().max(),
-        choice.period_ratios.first(),
-        choice.ridges.first(),
-        choice.priors.first(),
-    ) else {
+    let (Some(&highest), Some(&ratio), Some(&ridge), Some(&prior)) =
+        (choice.orders.iter().max(), choice.period_ratios.first(), choice.ridges.first(), choice.priors.first())
+    else {
         return Err(Error::invalid("orders, period_ratios, ridges, priors", "at least one of each", "an empty list"));
     };
     for prior in &choice.priors {
@@ -197,11 +194,7 @@ fn reference_rows(observations: &Observations, base: &FitOptions, monitor: &dyn 
 }
 
 /// Coefficients of every choice, filled up with zeros to the highest order.
-fn solve_all(
-    training: &Normal,
-    choices: &[(usize, f64, usize)],
-    dampings: &[Vec<f64>],
-) -> Result<DMatrix<f64>> {
+fn solve_all(training: &Normal, choices: &[(usize, f64, usize)], dampings: &[Vec<f64>]) -> Result<DMatrix<f64>> {
     let solutions = choices
         .par_iter()
         .map(|&(order, ridge, prior)| {

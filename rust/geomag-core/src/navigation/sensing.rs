@@ -40,7 +40,10 @@ enum Source {
         /// On a plane, the model with zero there, so that a filter pays for no exponential.
         flat: Option<Arc<RectangularHarmonicModel>>,
     },
-    Map { field: Arc<dyn Field>, interpolation: Interpolation },
+    Map {
+        field: Arc<dyn Field>,
+        interpolation: Interpolation,
+    },
 }
 
 impl Sensing {
@@ -306,7 +309,8 @@ mod tests {
         let model = Arc::new(RectangularHarmonicModel::new(9, [2.6e3; 2], coefficients, region).unwrap());
         for down in [0.0, -130.0, 20.0, -5e3] {
             let sensing = Sensing::at_down(Arc::clone(&model), Sensor::Vector, down).unwrap();
-            let places: Vec<[f64; 2]> = (0..7).map(|k| [130.0 * f64::from(k) - 400.0, 90.0 * f64::from(k) - 300.0]).collect();
+            let places: Vec<[f64; 2]> =
+                (0..7).map(|k| [130.0 * f64::from(k) - 400.0, 90.0 * f64::from(k) - 300.0]).collect();
             let mut out = vec![0.0; 21];
             sensing.read(&places, &mut out);
             for (place, found) in places.iter().zip(out.chunks_exact(3)) {

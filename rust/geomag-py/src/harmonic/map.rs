@@ -50,7 +50,12 @@ impl PyHarmonicMap {
         Ok((shaped(py, east, &shape)?, shaped(py, north, &shape)?))
     }
 
-    pub fn to_grid<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+    pub fn to_grid<'py>(
+        &self,
+        py: Python<'py>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+    ) -> PyRes<Bound<'py, PyAny>> {
         let axis = |name: &str, object: &Bound<'py, PyAny>| -> PyRes<Axis> {
             let (axis, reversed) = Axis::from_coordinates(name, &vector(name, object)?, 0.0)?;
             if reversed { Err(invalid(name, "ascending coordinates", "descending ones")) } else { Ok(axis) }

@@ -564,4 +564,3 @@ impl<const N: usize> IntoFlattenedVec for [[f64; 2]; N] {
         self.into_iter().flatten().collect()
     }
 }
-

@@ -106,4 +106,3 @@ impl PyFieldObservations {
         format!("FieldObservations({} numbers at {} points)", inner.len(), inner.point_count())
     }
 }
-

@@ -210,4 +210,3 @@ pub fn keywords<'py>(py: Python<'py>, given: Option<&Bound<'py, PyDict>>) -> PyR
     }
     all.extract().map_err(|e: PyErr| invalid("options of the fit", "arguments of the documented types", e))
 }
-
