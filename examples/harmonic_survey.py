@@ -44,7 +44,11 @@ def compare_block(table: Path, longitude: float, latitude: float, side_km: float
 
 def main() -> None:
     """Print one line a block and what they come to."""
-    given = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(os.environ.get("GEOMAG_DATA", "")) / "osborne-aeromag" / "osborne_lines.csv.gz"
+    given = (
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(os.environ.get("GEOMAG_DATA", "")) / "osborne-aeromag" / "osborne_lines.csv.gz"
+    )
     if not given.is_file():
         field = synthetic.Crust(texture_rms=60.0, height_m=150.0).draw((0, 0, 4000, 4000), seed=3)
         x, y = (a.ravel() for a in np.meshgrid(np.arange(200.0, 3801.0, 40.0), np.arange(200.0, 3801.0, 200.0)))

@@ -22,7 +22,9 @@ def truth():
     rng = np.random.default_rng(4)
     wave = 2 * np.pi / 30e3
     coefficients = [1.0, -2.0, 5.0]
-    coefficients += [20 * rng.normal() / (wave * np.hypot(t, r)) for t, r, _, _ in geomag.RectangularHarmonicModel.terms(3)]
+    coefficients += [
+        20 * rng.normal() / (wave * np.hypot(t, r)) for t, r, _, _ in geomag.RectangularHarmonicModel.terms(3)
+    ]
     return geomag.RectangularHarmonicModel.from_coefficients(
         3, 30e3, coefficients, region=[(-1e4, 1e4), (-1e4, 1e4), (-600.0, 0.0)],
         frame=geomag.LocalFrame(-22.0, 140.6, 500.0),
@@ -36,7 +38,9 @@ def survey(tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("survey")
     model = truth()
-    lat, lon = (a.ravel() for a in np.meshgrid(np.linspace(-22.08, -21.92, 17), np.linspace(140.52, 140.68, 40), indexing="ij"))
+    lat, lon = (
+        a.ravel() for a in np.meshgrid(np.linspace(-22.08, -21.92, 17), np.linspace(140.52, 140.68, 40), indexing="ij")
+    )
     height = 550.0 + 40.0 * np.sin(90 * lon)
     frame = model.frame
     inside = model.field(*frame.forward(lat, lon, height), extrapolate=True)
@@ -122,6 +126,7 @@ def test_a_scalar_with_the_main_field(survey, capsys, kind):
     back = geomag.RectangularHarmonicModel.from_json(out)
     assert back.covariance is None
     lat, lon, height = PLACE
+
     def along(m):
         return m.field(*m.frame.forward(lat, lon, height)) @ np.array(MAIN) / np.linalg.norm(MAIN)
 
@@ -240,7 +245,9 @@ def test_json_of_the_others(capsys, tmp_path):
     assert fix["error_m"] < 250
     from geomag import synthetic
 
-    synthetic.Crust().draw((0, 0, 20_000, 20_000), seed=1).grid(500.0, units="nT").to_xarray().to_netcdf(tmp_path / "m.nc")
+    synthetic.Crust().draw((0, 0, 20_000, 20_000), seed=1).grid(500.0, units="nT").to_xarray().to_netcdf(
+        tmp_path / "m.nc"
+    )
     status, out, _ = call(capsys, "suitability", tmp_path / "m.nc", "--speed", 60, "--samples", 10, "--json")
     told = json.loads(out)["headings"]
     assert status == 0

@@ -6,6 +6,8 @@ IEMA step. Times are the best of several; the table holds ratios as well, which 
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from scipy.ndimage import map_coordinates
 

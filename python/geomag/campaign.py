@@ -144,7 +144,9 @@ def grid_search(
         told = {name: None if scale is None else float(scale) for name, scale in scales.items()}
         return Method("hausdorff", {**options, **told, "fraction": float(fraction)})
     if (length_scale_m, value_scale, fraction) != (None, None, 1.0):
-        raise InvalidInputError(f"length_scale_m, value_scale, fraction: needed criterion 'hausdorff', got {criterion!r}")
+        raise InvalidInputError(
+            f"length_scale_m, value_scale, fraction: needed criterion 'hausdorff', got {criterion!r}"
+        )
     return Method("grid", {"criterion": criterion.capitalize(), **options})
 
 

@@ -137,7 +137,9 @@ def demo(
     out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("out/demo.png"),
     lines: Annotated[Path | None, typer.Option(help="Survey lines (CSV) instead of made-up data.")] = None,
     map: Annotated[Path | None, typer.Option(help="Map that goes with the lines.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object (the fix and its error) instead of text.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object (the fix and its error) instead of text.")
+    ] = False,
 ) -> int:
     """Match a track with IEMA and grid search, say what a navigator wants to know, and draw it."""
     if (lines is None) != (map is None):
@@ -146,9 +148,7 @@ def demo(
     east, north = scene.offset_m
     say = (lambda text: None) if as_json else typer.echo
     say(f"scene       {scene.title}: {len(scene.track)} samples on {scene.grid!r}")
-    say(
-        f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)"
-    )
+    say(f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)")
     # IEMA's gate knows the sensor alone; off the lattice the map differs by gradient times part of a cell, so the demo
     # gives it that much more, lets a few outliers pass, and asks for a region instead of a single candidate.
     slope = float(np.nanmedian(np.hypot(*scene.grid.gradient(*scene.truth.T))))

@@ -86,7 +86,9 @@ def suitability(
         for k, h in enumerate(over.heading_deg):
             share = over.fix_probability[k][np.isfinite(over.fix_probability[k])]
             told[h]["share_of_flights_fixed"] = float(share.mean()) if share.size else None
-            text = f"{share.mean():.0%} of simulated flights are fixed" if share.size else "no simulated flight on the map"
+            text = (
+                f"{share.mean():.0%} of simulated flights are fixed" if share.size else "no simulated flight on the map"
+            )
             say(f"heading {h:5.1f}  {text}")
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)

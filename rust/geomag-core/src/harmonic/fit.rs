@@ -113,7 +113,7 @@ pub struct FitSummary {
 /// ```
 ///
 /// # Errors
-/// [`Error::TooFewSamples`] for fewer numbers than coefficients, [`Error::Invalid`] for options out of range or
+/// [`Error::TooFewSamples`] for fewer numbers than coefficients (unless there is a [`Prior`]), [`Error::Invalid`] for options out of range or
 /// observations without extent, [`Error::RankDeficient`] where the observations do not decide the coefficients and no
 /// ridge does, [`Error::Interrupted`].
 pub fn fit(
@@ -160,7 +160,9 @@ impl Prepared {
             return Err(Error::invalid("max_iterations", "at least 1", 0));
         }
         let needed = coefficient_count(options.order);
-        if observations.len() < needed {
+        // A prior that says which waves to expect decides what the observations do not.
+        let told = options.prior.power > 0.0 || options.prior.damping_m > 0.0;
+        if observations.len() < if told { 1 } else { needed } {
             return Err(Error::TooFewSamples {
                 what: format!("harmonic fit of order {}", options.order),
                 needed,
