@@ -57,7 +57,8 @@ class _Placed:
         return _Placed(points, lines.values, number.ravel(), frame)
 
     def observations(self, keep: npt.NDArray[np.bool_], main_field: Array) -> FieldObservations:
-        return FieldObservations().add_anomaly(*self.points[keep].T, self.values[keep], main_field=main_field)
+        north, east, down = self.points[keep].T
+        return FieldObservations().add_anomaly(north, east, down, self.values[keep], main_field=main_field)
 
 
 def _spread(placed: _Placed, lines: Lines, folds: int) -> npt.NDArray[np.int_]:

@@ -13,7 +13,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.cli import NO_FIX, app
-from geomag.cli._common import describe, fix_json
+from geomag.cli._common import describe, fix_json, teller
 from geomag.cli.match import draw, solve
 from geomag.io import read_grid
 
@@ -146,7 +146,7 @@ def demo(
         raise InvalidInputError("demo: needed --lines and --map together, got one of them")
     scene = synthetic_scene(seed) if lines is None or map is None else survey_scene(lines, map, seed)
     east, north = scene.offset_m
-    say = (lambda text: None) if as_json else typer.echo
+    say = teller(as_json)
     say(f"scene       {scene.title}: {len(scene.track)} samples on {scene.grid!r}")
     say(f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)")
     # IEMA's gate knows the sensor alone; off the lattice the map differs by gradient times part of a cell, so the demo

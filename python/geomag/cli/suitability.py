@@ -11,7 +11,7 @@ import typer
 
 from geomag._errors import InvalidInputError
 from geomag.cli import app
-from geomag.cli._common import jsonable
+from geomag.cli._common import jsonable, teller
 from geomag.io import read_grid
 
 
@@ -59,7 +59,7 @@ def suitability(
         geographic=grid.geographic,
         progress=not as_json,
     )
-    say = (lambda text: None) if as_json else typer.echo
+    say = teller(as_json)
     told: dict[float, dict[str, float | None]] = {h: {} for h in headings}
     errors = np.stack([found[name].values for name in found if str(name).startswith("error_m")])
     soon = np.stack([found[name].values for name in found if str(name).startswith("samples")])
