@@ -1,5 +1,6 @@
 //! The part of a map that a search can touch, laid out for the kernel: value, error variance and distance to data.
 
+use super::kernel::LANES;
 use crate::field::Field;
 use crate::grid::MapSigma;
 use crate::map_error::DistanceLayer;
@@ -39,6 +40,8 @@ pub(super) struct Sample {
     pub gradient: [f32; 2],
     /// What a curve through the nodes would differ by from the straight line between them.
     pub curvature: f32,
+    /// Largest second difference of the nodes around.
+    pub bend: f32,
 }
 
 impl Patch {
@@ -165,7 +168,7 @@ impl Patch {
     #[inline(always)]
     pub fn at(&self, px: f64, py: f64) -> Sample {
         const UNKNOWN: Sample =
-            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0 };
+            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         if !(px >= -NODE_TOLERANCE
             && py >= -NODE_TOLERANCE
@@ -193,7 +196,46 @@ impl Patch {
         let gx = (b[0] - a[0]) + v * ((f[0] - e[0]) - (b[0] - a[0]));
         let gy = (e[0] - a[0]) + u * ((f[0] - b[0]) - (e[0] - a[0]));
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
-        Sample { value, variance, distance, gradient: [gx, gy], curvature }
+        Sample { value, variance, distance, gradient: [gx, gy], curvature, bend }
+    }
+
+    /// [`Patch::at`] for [`LANES`] places one cell apart along x, the first at (`px`, `py`), into lanes of value, variance,
+    /// distance, bend, gradient x and y and curvature; `false`, with nothing done, where that would leave the patch.
+    #[inline(always)]
+    pub fn row(&self, px: f64, py: f64, out: &mut [[f32; LANES]; 7]) -> bool {
+        let inside = px >= 0.0
+            && py >= 0.0
+            && px + LANES as f64 <= (self.columns - 1) as f64
+            && py < (self.rows - 1) as f64;
+        if !inside {
+            return false;
+        }
+        let (c, r) = (px as usize, py as usize);
+        let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
+        let i = r * self.columns + c;
+        let (Some(low), Some(high)) = (
+            self.nodes[i..].first_chunk::<{ LANES + 1 }>(),
+            self.nodes.get(i + self.columns..).and_then(|s| s.first_chunk::<{ LANES + 1 }>()),
+        ) else {
+            return false;
+        };
+        for k in 0..4 {
+            for l in 0..LANES {
+                let (a, b) = (low[l][k], low[l + 1][k]);
+                let (e, f) = (high[l][k], high[l + 1][k]);
+                let (first, second) = (a + u * (b - a), e + u * (f - e));
+                out[k][l] = first + v * (second - first);
+                if k == 0 {
+                    out[4][l] = (b - a) + v * ((f - e) - (b - a));
+                    out[5][l] = (e - a) + u * ((f - b) - (e - a));
+                }
+            }
+        }
+        let share = 0.5 * (u * (1.0 - u)).max(v * (1.0 - v));
+        for l in 0..LANES {
+            out[6][l] = share * out[3][l];
+        }
+        true
     }
 
     /// Spacing, map units.

@@ -173,9 +173,8 @@ impl PosteriorMatcher {
         }
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
         let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref().map(|(_, patch)| patch))?;
-        let first = problem.first_stage(s.candidates.iter().map(|c| c.offset).collect(), s.step);
-        let kept = first.kept();
-        let posterior = problem.refine(first);
+        let offsets = s.candidates.iter().map(|c| c.offset).collect();
+        let (posterior, kept) = problem.solve_keeping(offsets, s.step, true);
         Ok((decide::answer(&problem, &track, &posterior), kept))
     }
 
