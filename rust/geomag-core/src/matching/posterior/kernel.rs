@@ -14,7 +14,7 @@
 use std::ops::Range;
 
 use super::model::{LEVELS, Level};
-use super::patch::Patch;
+use super::patch::{Corners, Patch};
 
 /// Candidates handled together, so that the inner loops are vectors.
 pub(super) const LANES: usize = 16;
@@ -152,48 +152,55 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
             runs += 1;
         }
     }
+    let (mut x, mut y) = ([f64::NAN; LANES], [f64::NAN; LANES]);
+    for (l, offset) in offsets.iter().enumerate() {
+        (x[l], y[l]) = (offset[0], offset[1]);
+    }
+    let mut corners = Corners::NONE;
     for k in 0..n {
         let place = setup.places[k];
         let row = &mut scratch.rows[k];
-        let mut samples = [[0.0_f32; LANES]; 7];
         let mut read = runs <= RUNS;
-        for &start in starts.iter().take(if read { runs } else { 0 }) {
-            let offset = offsets[start];
-            let mut part = [[0.0_f32; LANES]; 7];
-            read &= setup.patch.row(place[0] + offset[0] - start as f64, place[1] + offset[1], &mut part);
-            for (whole, part) in samples.iter_mut().zip(&part) {
-                for l in 0..LANES {
-                    whole[l] = if l >= start { part[l] } else { whole[l] };
-                }
+        if read {
+            for &start in starts.iter().take(runs) {
+                let [x, y] = offsets[start];
+                read &= setup.patch.corners_in_row(place[0] + x, place[1] + y, start, &mut corners);
             }
         }
         if !read {
-            for (lane, offset) in offsets.iter().enumerate() {
-                let s = setup.patch.at(place[0] + offset[0], place[1] + offset[1]);
-                let all = [s.value, s.variance, s.distance, s.bend, s.gradient[0], s.gradient[1], s.curvature];
-                for (lanes, v) in samples.iter_mut().zip(all) {
-                    lanes[lane] = v;
-                }
+            setup.patch.corners(&x.map(|x| place[0] + x), &y.map(|y| place[1] + y), &mut corners);
+        }
+        let [a, b, e, f] = &corners.nodes;
+        let mut mixed = [[0.0_f32; LANES]; 4];
+        for q in 0..4 {
+            for l in 0..LANES {
+                let (u, v) = (corners.u[l], corners.v[l]);
+                let low = a[l][q] + u * (b[l][q] - a[l][q]);
+                let high = e[l][q] + u * (f[l][q] - e[l][q]);
+                mixed[q][l] = low + v * (high - low);
             }
         }
-        let [value, variance, distance, bend, gx, gy, curvature] = &samples;
+        let [value, variance, distance, bend] = &mixed;
         for l in 0..LANES {
+            let (u, v) = (corners.u[l], corners.v[l]);
+            let (low, high) = (b[l][0] - a[l][0], f[l][0] - e[l][0]);
+            let (left, right) = (e[l][0] - a[l][0], f[l][0] - b[l][0]);
+            let (gx, gy) = (low + v * (high - low), left + u * (right - left));
             let residual = (setup.values[k] - value[l]) * unit;
-            let known = if residual.is_finite() && l < offsets.len() { 1.0_f32 } else { 0.0 };
-            let on = known > 0.0;
-            let (gx_m, gy_m) = (gx[l] * per_east, gy[l] * per_north);
-            let curved = curvature[l] * unit;
+            let on = residual.is_finite() & (corners.known[l] > 0.0) & (l < offsets.len());
+            let (gx_m, gy_m) = (gx * per_east, gy * per_north);
+            let curved = 0.5 * bend[l] * (u * (1.0 - u)).max(v * (1.0 - v)) * unit;
             let extra =
                 setup.sensor_variance + curved * curved * (1.0 / 3.0) + gx_m * gx_m * blur_x + gy_m * gy_m * blur_y;
             row.residual[l] = if on { residual } else { 0.0 };
             row.map_variance[l] = if on { variance[l] * unit * unit } else { 0.0 };
             row.extra_variance[l] = if on { extra } else { 1.0 };
-            row.known[l] = known;
+            row.known[l] = if on { 1.0 } else { 0.0 };
             row.distance[l] = if on { distance[l] } else { 0.0 };
             row.gradient[0][l] = if on { gx_m } else { 0.0 };
             row.gradient[1][l] = if on { gy_m } else { 0.0 };
             if BOUND {
-                let reach = (half_x * gx[l].abs() + half_y * gy[l].abs() + half * bend[l]) * unit;
+                let reach = (half_x * gx.abs() + half_y * gy.abs() + half * bend[l]) * unit;
                 row.reach[l] = if on { reach } else { 0.0 };
             }
         }

@@ -44,6 +44,21 @@ pub(super) struct Sample {
     pub bend: f32,
 }
 
+/// The four nodes around each of [`LANES`] places: lower left, lower right, upper left, upper right.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Corners {
+    pub nodes: [[[f32; 4]; LANES]; 4],
+    /// Place between the nodes, 0 to 1.
+    pub u: [f32; LANES],
+    pub v: [f32; LANES],
+    pub known: [f32; LANES],
+}
+
+impl Corners {
+    pub const NONE: Self =
+        Self { nodes: [[[0.0; 4]; LANES]; 4], u: [0.0; LANES], v: [0.0; LANES], known: [0.0; LANES] };
+}
+
 impl Patch {
     /// The window of `field` that covers the box from `low` to `high` (map units, on the map's own turn of longitude).
     pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2]) -> Self {
@@ -199,10 +214,43 @@ impl Patch {
         Sample { value, variance, distance, gradient: [gx, gy], curvature, bend }
     }
 
-    /// [`Patch::at`] for [`LANES`] places one cell apart along x, the first at (`px`, `py`), into lanes of value, variance,
-    /// distance, bend, gradient x and y and curvature; `false`, with nothing done, where that would leave the patch.
+    /// The nodes around [`LANES`] places (cells of the patch), and where the places lie between them; places that are
+    /// not on the patch are marked unknown.
     #[inline(always)]
-    pub fn row(&self, px: f64, py: f64, out: &mut [[f32; LANES]; 7]) -> bool {
+    pub fn corners(&self, px: &[f64; LANES], py: &[f64; LANES], out: &mut Corners) {
+        let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
+        let (most_c, most_r) = (self.columns.saturating_sub(2) as i32, self.rows.saturating_sub(2) as i32);
+        let columns = self.columns as i32;
+        let mut index = [0_i32; LANES];
+        for l in 0..LANES {
+            let (x, y) = (px[l], py[l]);
+            let inside = (x >= -NODE_TOLERANCE)
+                & (y >= -NODE_TOLERANCE)
+                & (x <= last_column + NODE_TOLERANCE)
+                & (y <= last_row + NODE_TOLERANCE);
+            let (c, r) = ((x.max(0.0) as i32).min(most_c), (y.max(0.0) as i32).min(most_r));
+            out.u[l] = (x - f64::from(c)) as f32;
+            out.v[l] = (y - f64::from(r)) as f32;
+            out.known[l] = if inside { 1.0 } else { 0.0 };
+            index[l] = r * columns + c;
+        }
+        for l in 0..LANES {
+            let i = index[l] as usize;
+            let (Some(&[a, b]), Some(&[e, f])) = (
+                self.nodes.get(i..).and_then(|s| s.first_chunk::<2>()),
+                self.nodes.get(i + self.columns..).and_then(|s| s.first_chunk::<2>()),
+            ) else {
+                out.known[l] = 0.0;
+                continue;
+            };
+            (out.nodes[0][l], out.nodes[1][l], out.nodes[2][l], out.nodes[3][l]) = (a, b, e, f);
+        }
+    }
+
+    /// [`Patch::corners`] for places one cell apart along x from lane `start` on, the first at (`px`, `py`); the lanes before
+    /// it are left alone. `false`, with nothing done, where that would leave the patch.
+    #[inline(always)]
+    pub fn corners_in_row(&self, px: f64, py: f64, start: usize, out: &mut Corners) -> bool {
         let inside = px >= 0.0
             && py >= 0.0
             && px + LANES as f64 <= (self.columns - 1) as f64
@@ -213,28 +261,19 @@ impl Patch {
         let (c, r) = (px as usize, py as usize);
         let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
         let i = r * self.columns + c;
-        let (Some(low), Some(high)) = (
-            self.nodes[i..].first_chunk::<{ LANES + 1 }>(),
-            self.nodes.get(i + self.columns..).and_then(|s| s.first_chunk::<{ LANES + 1 }>()),
-        ) else {
+        let count = LANES - start;
+        let (Some(low), Some(high)) =
+            (self.nodes.get(i..=i + count), self.nodes.get(i + self.columns..=i + self.columns + count))
+        else {
             return false;
         };
-        for k in 0..4 {
-            for l in 0..LANES {
-                let (a, b) = (low[l][k], low[l + 1][k]);
-                let (e, f) = (high[l][k], high[l + 1][k]);
-                let (first, second) = (a + u * (b - a), e + u * (f - e));
-                out[k][l] = first + v * (second - first);
-                if k == 0 {
-                    out[4][l] = (b - a) + v * ((f - e) - (b - a));
-                    out[5][l] = (e - a) + u * ((f - b) - (e - a));
-                }
-            }
-        }
-        let share = 0.5 * (u * (1.0 - u)).max(v * (1.0 - v));
-        for l in 0..LANES {
-            out[6][l] = share * out[3][l];
-        }
+        out.nodes[0][start..].copy_from_slice(&low[..count]);
+        out.nodes[1][start..].copy_from_slice(&low[1..]);
+        out.nodes[2][start..].copy_from_slice(&high[..count]);
+        out.nodes[3][start..].copy_from_slice(&high[1..]);
+        out.u[start..].fill(u);
+        out.v[start..].fill(v);
+        out.known[start..].fill(1.0);
         true
     }
 

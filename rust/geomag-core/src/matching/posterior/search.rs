@@ -21,13 +21,15 @@ const PRUNE_STREAM: f64 = 28.0;
 const FIRST_STAGE: f64 = 2500.0;
 /// Most cells that survive a stage.
 const SURVIVORS: usize = 6000;
+/// Cells in the run from which a posterior may be wider than the tolerance.
+const BROAD: usize = 100;
 /// Cells from which the reference place is sought.
 const STARTS: usize = 16;
 /// Most halvings of the lattice step below one cell of the map.
 const HALVINGS: i32 = 6;
 /// Logarithm of the weight below which an error level is left out, and what the first estimate of it may be wrong by.
-const LEVEL_FLOOR: f64 = -14.0;
-const LEVEL_SLACK: f64 = 6.0;
+const LEVEL_FLOOR: f64 = -9.0;
+const LEVEL_SLACK: f64 = 5.0;
 /// Lattice step in standard deviations of the posterior at which sums over the lattice are integrals to 1e-3.
 const RESOLUTION: f64 = 1.2;
 /// Logarithm of a share that changes no sum.
@@ -92,6 +94,10 @@ struct Reference {
     log_likelihood: Vec<[f64; LEVELS]>,
     /// Estimated logarithm of every level's weight, `[channel][level]`, the largest 0.
     weights: Vec<[f64; LEVELS]>,
+    /// Logarithm of the area of every level's posterior there, in square metres, `[channel][level]`.
+    areas: Vec<[f64; LEVELS]>,
+    /// Smallest standard deviation of the posterior there, metres.
+    spread_m: f64,
     /// Lattice step that resolves the mode there, map units.
     step: [f64; 2],
 }
@@ -225,23 +231,32 @@ impl<'a> Problem<'a> {
         };
         let mut kept_for_later = Vec::new();
         loop {
-            let excess = self.excess(&reference, &bounds, &levels, offsets.len());
+            let excess = self.excess(&reference, &bounds, &levels, step, offsets.len());
             if keep && stages == 1 {
                 kept_for_later = select(&offsets, &excess, PRUNE_STREAM, usize::MAX);
             }
             if step[0] <= reference.step[0] * 1.001 {
                 break;
             }
-            offsets = children(&select(&offsets, &excess, PRUNE, SURVIVORS), step);
-            step = step.map(|s| 0.5 * s);
-            stages += 1;
+            let kept = select(&offsets, &excess, PRUNE, SURVIVORS);
             for (range, weights) in levels.iter_mut().zip(&reference.weights) {
-                let carries = |v: &usize| weights[*v] > LEVEL_FLOOR - LEVEL_SLACK;
+                let carries = |v: &usize| weights[*v] + LEVEL_SLACK > LEVEL_FLOOR;
                 let (first, last) = (range.clone().find(carries), range.clone().rev().find(carries));
                 if let (Some(first), Some(last)) = (first, last) {
                     *range = first..last + 1;
                 }
             }
+            // A posterior that is wider than the tolerance and that this lattice resolves needs no finer one to say so.
+            if kept.len() > BROAD && self.longest_m(step) <= RESOLUTION * reference.spread_m {
+                let mut posterior = self.density(kept.clone(), step, &levels);
+                if self.near_mode(&posterior) < 0.5 {
+                    posterior.stages = stages + 1;
+                    return (posterior, kept_for_later);
+                }
+            }
+            offsets = children(&kept, step);
+            step = step.map(|s| 0.5 * s);
+            stages += 1;
             if step[0] <= reference.step[0] * 1.001 {
                 break;
             }
@@ -307,39 +322,41 @@ impl<'a> Problem<'a> {
                 .iter()
                 .map(|blocks| std::array::from_fn(|v| blocks[best / LANES].log_likelihood[v][best % LANES]))
                 .collect();
-            let (weights, spread_m) = self.at_reference(some[best], step, &densities, &log_likelihood);
-            if self.resolves(step, spread_m) {
-                return Some(Reference { log_likelihood, weights, step });
+            let found = self.at_reference(some[best], step, &densities, log_likelihood);
+            if self.resolves(step, found.spread_m) {
+                return Some(found);
             }
         }
     }
 
-    /// Estimated weights of the levels and the smallest standard deviation of the posterior at one place, metres.
+    /// What the posterior around one place looks like, by Laplace's method.
     fn at_reference(
         &self,
         offset: [f64; 2],
         step: [f64; 2],
         densities: &Likelihoods,
-        log_likelihood: &[[f64; LEVELS]],
-    ) -> (Vec<[f64; LEVELS]>, f64) {
+        log_likelihood: Vec<[f64; LEVELS]>,
+    ) -> Reference {
         let mut scratch = Scratch::default();
         let mut total = [0.0; 3];
         let mut blurred = 0.0_f64;
-        let mut all = Vec::with_capacity(self.channels.len());
+        let (mut all, mut areas) = (Vec::with_capacity(self.channels.len()), Vec::with_capacity(self.channels.len()));
         let prior = [0, 1].map(|d| 3.0 / (self.options.half_width[d] * self.scale_m[d]).powi(2));
-        for (channel, (blocks, log)) in self.channels.iter().zip(densities.iter().zip(log_likelihood)) {
+        for (channel, (blocks, log)) in self.channels.iter().zip(densities.iter().zip(&log_likelihood)) {
             let levels = &channel.noise.levels;
             let setup = self.setup(channel, levels, step);
             let law = self.law(channel, blocks, 0..levels.len());
             let cells = channel.cells(offset);
             let information: Vec<[f64; 3]> =
                 levels.iter().map(|level| kernel::detail(&setup, cells, *level, &mut scratch).information).collect();
-            // Laplace's evidence: the posterior's height and its area.
-            let evidence = |v: usize, temper: f64| {
+            let area = |v: usize, temper: f64| {
                 let [ee, en, nn] = information[v].map(|i| temper * i);
-                temper * log[v] - 0.5 * ((ee + prior[0]) * (nn + prior[1]) - en * en).max(f64::MIN_POSITIVE).ln()
+                std::f64::consts::TAU.ln()
+                    - 0.5 * ((ee + prior[0]) * (nn + prior[1]) - en * en).max(f64::MIN_POSITIVE).ln()
             };
+            let evidence = |v: usize, temper: f64| temper * log[v] + area(v, temper);
             let weights = law.weights(&channel.noise, 0..levels.len(), evidence);
+            areas.push(std::array::from_fn(|v| if v < levels.len() { area(v, law.temper[v]) } else { 0.0 }));
             let top = (0..levels.len()).fold(0, |a, b| if weights[b] > weights[a] { b } else { a });
             for (sum, i) in total.iter_mut().zip(information[top]) {
                 *sum += law.temper[top] * i;
@@ -350,28 +367,58 @@ impl<'a> Problem<'a> {
         let [ee, en, nn] = [total[0] + prior[0], total[1], total[2] + prior[1]];
         // The largest eigenvalue of the information is the smallest variance.
         let largest = 0.5 * (ee + nn) + (0.25 * (ee - nn).powi(2) + en * en).sqrt();
-        (all, largest.recip().sqrt().max(blurred))
+        let spread_m = largest.recip().sqrt().max(blurred);
+        Reference { log_likelihood, weights: all, areas, spread_m, step }
+    }
+
+    /// The longer side of a lattice cell, metres.
+    fn longest_m(&self, step: [f64; 2]) -> f64 {
+        (step[0] * self.scale_m[0]).max(step[1] * self.scale_m[1])
+    }
+
+    /// Mass within the tolerance and one lattice cell of the mode.
+    fn near_mode(&self, posterior: &Posterior) -> f64 {
+        let Some(best) = posterior.mode() else { return 0.0 };
+        let centre = posterior.offsets[best];
+        let radius = self.tolerance_m + self.longest_m(posterior.step);
+        let near = |o: &[f64; 2]| {
+            ((o[0] - centre[0]) * self.scale_m[0]).hypot((o[1] - centre[1]) * self.scale_m[1]) <= radius
+        };
+        posterior.offsets.iter().zip(&posterior.log_p).filter(|(o, _)| near(o)).map(|(_, lp)| lp.exp()).sum()
     }
 
     /// Whether a lattice of this step resolves a posterior of that spread.
     fn resolves(&self, step: [f64; 2], spread_m: f64) -> bool {
         let relative = (step[0] / self.cell[0]).max(step[1] / self.cell[1]);
-        let step_m = (step[0] * self.scale_m[0]).max(step[1] * self.scale_m[1]);
+        let step_m = self.longest_m(step);
         relative <= 0.5_f64.powi(HALVINGS) * 1.001
             || (step_m <= 0.34 * self.tolerance_m && step_m <= RESOLUTION * spread_m)
     }
 
-    /// How far the bound of every cell lies above (below where negative) the reference, tempered, at the kindest level.
-    fn excess(&self, reference: &Reference, bounds: &Likelihoods, levels: &[Range<usize>], count: usize) -> Vec<f64> {
+    /// How far the bound of every cell lies above (below where negative) the reference, tempered, at the kindest level: the
+    /// logarithm of the mass that the cell may hold, where a level's posterior covers many cells as of its share.
+    fn excess(
+        &self,
+        reference: &Reference,
+        bounds: &Likelihoods,
+        levels: &[Range<usize>],
+        step: [f64; 2],
+        count: usize,
+    ) -> Vec<f64> {
         let mut excess = vec![0.0; count];
+        let cell = (step[0] * self.scale_m[0] * step[1] * self.scale_m[1]).ln();
         for (c, (channel, blocks)) in self.channels.iter().zip(bounds).enumerate() {
             let law = self.law(channel, blocks, levels[c].clone());
-            let (best, weights) = (&reference.log_likelihood[c], &reference.weights[c]);
+            let best = &reference.log_likelihood[c];
+            let share = |v: usize| {
+                (reference.weights[c][v] + LEVEL_SLACK).min(0.0) - (reference.areas[c][v] - cell).max(0.0)
+            };
+            let shares: [f64; LEVELS] = std::array::from_fn(share);
             for (i, sum) in excess.iter_mut().enumerate() {
                 let scores = &blocks[i / LANES].log_likelihood;
                 *sum += levels[c]
                     .clone()
-                    .map(|v| (weights[v] + LEVEL_SLACK).min(0.0) + law.temper[v] * (scores[v][i % LANES] - best[v]))
+                    .map(|v| shares[v] + law.temper[v] * (scores[v][i % LANES] - best[v]))
                     .fold(f64::NEG_INFINITY, f64::max);
             }
         }
@@ -428,6 +475,7 @@ impl<'a> Problem<'a> {
         step: [f64; 2],
         levels: &[Range<usize>],
     ) -> Likelihoods {
+        let t0=std::time::Instant::now();let cnt=offsets.len();
         let mut all = Vec::with_capacity(self.channels.len());
         for (channel, range) in self.channels.iter().zip(levels) {
             let mut setup = self.setup(channel, &channel.noise.levels, step);
@@ -453,6 +501,7 @@ impl<'a> Problem<'a> {
             };
             all.push(blocks);
         }
+        if std::env::var("DBGP").is_ok() { eprintln!("{} cands {} n {} levels {:?} step {:.4} {:.1}us {:.2} ns/eval", if BOUND {"U"} else {"D"}, cnt, self.positions.len(), levels, step[0]/self.cell[0], t0.elapsed().as_secs_f64()*1e6, t0.elapsed().as_secs_f64()*1e9/(cnt*self.positions.len()) as f64); }
         all
     }
 
