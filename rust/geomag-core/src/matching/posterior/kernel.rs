@@ -20,6 +20,8 @@ use super::patch::{Corners, Patch};
 pub(super) const LANES: usize = 16;
 /// Multipliers of the variance in successive reweightings.
 const WIDENING: [f32; 5] = [400.0, 25.0, 4.0, 1.0, 1.0];
+/// The same for a bound, whose reach is wide already.
+const WIDENING_BOUND: [f32; 4] = [100.0, 4.0, 1.0, 1.0];
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
 const PRODUCT: usize = 4;
 /// Largest factor of such a product: beyond it a candidate is dead whatever the rest says.
@@ -230,7 +232,8 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
         let level = &setup.levels[index];
         let mut lane = weigh(scratch, (level.factor * level.factor) as f32);
         if setup.shapes.is_empty() {
-            let starts = if index == first { &WIDENING[..] } else { &WIDENING[2..] };
+            let all = if BOUND { &WIDENING_BOUND[..] } else { &WIDENING[..] };
+            let starts = if index == first { all } else { &all[all.len() - 3..] };
             one_bias::<BOUND>(setup, scratch, level.nu as f32, starts, &mut bias, &mut lane);
         } else {
             let (_, log) = nuisances::<BOUND>(setup, scratch, level.nu as f32);

@@ -21,7 +21,9 @@ const PRUNE_STREAM: f64 = 28.0;
 const FIRST_STAGE: f64 = 2500.0;
 /// Most cells that survive a stage.
 const SURVIVORS: usize = 6000;
-/// Cells in the run from which a posterior may be wider than the tolerance.
+/// Risk over the first lattice from which a sequence that goes on is not searched any closer.
+const HOPELESS: f64 = 0.3;
+/// Cells that are left from which a posterior may be wider than the tolerance.
 const BROAD: usize = 100;
 /// Cells from which the reference place is sought.
 const STARTS: usize = 16;
@@ -207,7 +209,15 @@ impl<'a> Problem<'a> {
         self.solve_keeping(offsets, step, false).0
     }
 
-    /// The same, and the offsets that later samples may yet make the best, where `keep` asks for them.
+    /// The posterior over the first lattice alone, where that says that no fix is near: its risk is several times the
+    /// one at which a fix is declared.
+    pub fn hopeless(&self, offsets: &[[f64; 2]], step: [f64; 2]) -> Option<Posterior> {
+        let posterior = self.density(offsets.to_vec(), step, &self.all_levels());
+        let risk = 1.0 - self.near_mode(&posterior);
+        (risk > HOPELESS.max(5.0 * self.options.max_risk)).then_some(posterior)
+    }
+
+    /// [`Problem::solve`], and the offsets that later samples may yet make the best, where `keep` asks for them.
     ///
     /// A coarse candidate stands for its cell: it is dropped when the bound over the cell is far below the likelihood of
     /// the best place found. Its own density would not do, because a variance that covers the cell favours flat places.
@@ -323,7 +333,7 @@ impl<'a> Problem<'a> {
                 .map(|blocks| std::array::from_fn(|v| blocks[best / LANES].log_likelihood[v][best % LANES]))
                 .collect();
             let found = self.at_reference(some[best], step, &densities, log_likelihood);
-            if self.resolves(step, found.spread_m) {
+                if self.resolves(step, found.spread_m) {
                 return Some(found);
             }
         }
@@ -382,9 +392,16 @@ impl<'a> Problem<'a> {
         let centre = posterior.offsets[best];
         let radius = self.tolerance_m + self.longest_m(posterior.step);
         let near = |o: &[f64; 2]| {
-            ((o[0] - centre[0]) * self.scale_m[0]).hypot((o[1] - centre[1]) * self.scale_m[1]) <= radius
+            let (dx, dy) = ((o[0] - centre[0]) * self.scale_m[0], (o[1] - centre[1]) * self.scale_m[1]);
+            dx * dx + dy * dy <= radius * radius
         };
-        posterior.offsets.iter().zip(&posterior.log_p).filter(|(o, _)| near(o)).map(|(_, lp)| lp.exp()).sum()
+        posterior
+            .offsets
+            .iter()
+            .zip(&posterior.log_p)
+            .filter(|(o, lp)| **lp > NOTHING && near(o))
+            .map(|(_, lp)| lp.exp())
+            .sum()
     }
 
     /// Whether a lattice of this step resolves a posterior of that spread.
@@ -433,7 +450,7 @@ impl<'a> Problem<'a> {
         let mut sums = [0.0; 3];
         for (o, lp) in posterior.offsets.iter().zip(&posterior.log_p) {
             let (dx, dy) = ((o[0] - centre[0]) * self.scale_m[0], (o[1] - centre[1]) * self.scale_m[1]);
-            if *lp > -30.0 && dx.hypot(dy) <= self.tolerance_m {
+            if *lp > NOTHING && dx * dx + dy * dy <= self.tolerance_m * self.tolerance_m {
                 let p = lp.exp();
                 sums[0] += p;
                 sums[1] += p * dx * dx;
@@ -475,7 +492,6 @@ impl<'a> Problem<'a> {
         step: [f64; 2],
         levels: &[Range<usize>],
     ) -> Likelihoods {
-        let t0=std::time::Instant::now();let cnt=offsets.len();
         let mut all = Vec::with_capacity(self.channels.len());
         for (channel, range) in self.channels.iter().zip(levels) {
             let mut setup = self.setup(channel, &channel.noise.levels, step);
@@ -501,7 +517,6 @@ impl<'a> Problem<'a> {
             };
             all.push(blocks);
         }
-        if std::env::var("DBGP").is_ok() { eprintln!("{} cands {} n {} levels {:?} step {:.4} {:.1}us {:.2} ns/eval", if BOUND {"U"} else {"D"}, cnt, self.positions.len(), levels, step[0]/self.cell[0], t0.elapsed().as_secs_f64()*1e6, t0.elapsed().as_secs_f64()*1e9/(cnt*self.positions.len()) as f64); }
         all
     }
 
