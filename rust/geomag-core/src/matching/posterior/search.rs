@@ -206,26 +206,43 @@ impl<'a> Problem<'a> {
 
     /// The posterior over `offsets`, refined around the modes unless the caller set the step.
     pub fn solve(&self, offsets: Vec<[f64; 2]>, step: [f64; 2]) -> Posterior {
-        self.solve_keeping(offsets, step, false).0
+        self.search(offsets, step, false, false).0
     }
 
-    /// The posterior over the first lattice alone, where that says that no fix is near: its risk is several times the
-    /// one at which a fix is declared.
-    pub fn hopeless(&self, offsets: &[[f64; 2]], step: [f64; 2]) -> Option<Posterior> {
-        let posterior = self.density(offsets.to_vec(), step, &self.all_levels());
-        let risk = 1.0 - self.near_mode(&posterior);
-        (risk > HOPELESS.max(5.0 * self.options.max_risk)).then_some(posterior)
+    /// [`Problem::solve`] for a sequence that goes on, and the offsets that later samples may yet make the best.
+    ///
+    /// With `coarse` the search ends where a stage says that no fix is near: its risk is several times the one at which a
+    /// fix is declared.
+    pub fn solve_going_on(
+        &self,
+        offsets: Vec<[f64; 2]>,
+        step: [f64; 2],
+        coarse: bool,
+    ) -> (Posterior, Option<Vec<[f64; 2]>>) {
+        if coarse && self.options.step.is_none() {
+            let posterior = self.density(offsets.clone(), step, &self.all_levels());
+            if self.hopeless(&posterior) {
+                return (posterior, None);
+            }
+        }
+        let (posterior, kept) = self.search(offsets, step, true, coarse);
+        (posterior, Some(kept))
     }
 
-    /// [`Problem::solve`], and the offsets that later samples may yet make the best, where `keep` asks for them.
+    fn hopeless(&self, posterior: &Posterior) -> bool {
+        1.0 - self.near_mode(posterior) > HOPELESS.max(5.0 * self.options.max_risk)
+    }
+
+    /// The search: `keep` for the offsets that matter later, `coarse` to end early where no fix is near.
     ///
     /// A coarse candidate stands for its cell: it is dropped when the bound over the cell is far below the likelihood of
     /// the best place found. Its own density would not do, because a variance that covers the cell favours flat places.
-    pub fn solve_keeping(
+    fn search(
         &self,
         mut offsets: Vec<[f64; 2]>,
         mut step: [f64; 2],
         keep: bool,
+        coarse: bool,
     ) -> (Posterior, Vec<[f64; 2]>) {
         if self.options.step.is_some() {
             let posterior = self.density(offsets, step, &self.all_levels());
@@ -257,9 +274,10 @@ impl<'a> Problem<'a> {
                 }
             }
             // A posterior that is wider than the tolerance and that this lattice resolves needs no finer one to say so.
-            if kept.len() > BROAD && self.longest_m(step) <= RESOLUTION * reference.spread_m {
+            let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
+            if kept.len() > BROAD && (resolved || coarse && stages > 1) {
                 let mut posterior = self.density(kept.clone(), step, &levels);
-                if self.near_mode(&posterior) < 0.5 {
+                if coarse && self.hopeless(&posterior) || resolved && self.near_mode(&posterior) < 0.5 {
                     posterior.stages = stages + 1;
                     return (posterior, kept_for_later);
                 }

@@ -177,14 +177,8 @@ impl PosteriorMatcher {
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
         let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref().map(|(_, patch)| patch))?;
         let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
-        if coarse && let Some(posterior) = problem.hopeless(&offsets, s.step) {
-            let fix = decide::answer(&problem, &track, &posterior);
-            if !fix.ok() {
-                return Ok((fix, None));
-            }
-        }
-        let (posterior, kept) = problem.solve_keeping(offsets, s.step, true);
-        Ok((decide::answer(&problem, &track, &posterior), Some(kept)))
+        let (posterior, kept) = problem.solve_going_on(offsets, s.step, coarse);
+        Ok((decide::answer(&problem, &track, &posterior), kept))
     }
 
     /// Forgets all samples.
