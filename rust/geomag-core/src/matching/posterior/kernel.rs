@@ -19,9 +19,7 @@ use super::patch::{Corners, Patch};
 /// Candidates handled together, so that the inner loops are vectors.
 pub(super) const LANES: usize = 16;
 /// Multipliers of the variance in successive reweightings.
-const WIDENING: [f32; 5] = [400.0, 25.0, 4.0, 1.0, 1.0];
-/// The same for a bound, whose reach is wide already.
-const WIDENING_BOUND: [f32; 4] = [100.0, 4.0, 1.0, 1.0];
+const WIDENING: [f32; 4] = [100.0, 9.0, 1.0, 1.0];
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
 const PRODUCT: usize = 4;
 /// Largest factor of such a product: beyond it a candidate is dead whatever the rest says.
@@ -159,6 +157,7 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
         (x[l], y[l]) = (offset[0], offset[1]);
     }
     let mut corners = Corners::NONE;
+    let even = setup.patch.even;
     for k in 0..n {
         let place = setup.places[k];
         let row = &mut scratch.rows[k];
@@ -174,7 +173,11 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
         }
         let [a, b, e, f] = &corners.nodes;
         let mut mixed = [[0.0_f32; LANES]; 4];
-        for q in 0..4 {
+        for (q, wanted) in [true, !even, !even, true].into_iter().enumerate() {
+            if !wanted {
+                mixed[q] = [corners.nodes[0][0][q]; LANES];
+                continue;
+            }
             for l in 0..LANES {
                 let (u, v) = (corners.u[l], corners.v[l]);
                 let low = a[l][q] + u * (b[l][q] - a[l][q]);
@@ -232,8 +235,7 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
         let level = &setup.levels[index];
         let mut lane = weigh(scratch, (level.factor * level.factor) as f32);
         if setup.shapes.is_empty() {
-            let all = if BOUND { &WIDENING_BOUND[..] } else { &WIDENING[..] };
-            let starts = if index == first { all } else { &all[all.len() - 3..] };
+            let starts = if index == first { &WIDENING[..] } else { &WIDENING[1..] };
             one_bias::<BOUND>(setup, scratch, level.nu as f32, starts, &mut bias, &mut lane);
         } else {
             let (_, log) = nuisances::<BOUND>(setup, scratch, level.nu as f32);

@@ -28,6 +28,8 @@ pub(super) struct Patch {
     nodes: Vec<[f32; 4]>,
     /// Value subtracted from every node, so that single precision suffices.
     pub level: f64,
+    /// Whether error variance and distance are the same at every node.
+    pub even: bool,
 }
 
 /// One interpolated point.
@@ -78,7 +80,7 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let mut patch = Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level };
+        let mut patch = Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level, even: false };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
         let map_columns = grid.map_or(0, |g| g.x().len());
         for r in 0..rows {
@@ -110,6 +112,8 @@ impl Patch {
         if grid.is_some_and(|g| g.map_sigma().is_none()) {
             patch.fill_default_variance([step[0] * east / cell_m, step[1] * north / cell_m]);
         }
+        let first = patch.nodes[0];
+        patch.even = patch.nodes.iter().all(|node| node[1] == first[1] && node[2] == first[2]);
         patch
     }
 

@@ -14,7 +14,7 @@ use crate::frame::displacement_m;
 use crate::track::Track;
 
 /// Tempered log-likelihood below the best at which a cell is not refined any further, going by the bound over the cell.
-const PRUNE: f64 = 14.0;
+const PRUNE: f64 = 12.0;
 /// The same for a sequence that goes on: later samples may yet change the order.
 const PRUNE_STREAM: f64 = 28.0;
 /// Candidates of the first stage where the step is chosen here.
@@ -26,14 +26,14 @@ const HOPELESS: f64 = 0.3;
 /// Cells that are left from which a posterior may be wider than the tolerance.
 const BROAD: usize = 100;
 /// Cells from which the reference place is sought.
-const STARTS: usize = 16;
+const STARTS: usize = 8;
 /// Most halvings of the lattice step below one cell of the map.
 const HALVINGS: i32 = 6;
 /// Logarithm of the weight below which an error level is left out, and what the first estimate of it may be wrong by.
 const LEVEL_FLOOR: f64 = -9.0;
 const LEVEL_SLACK: f64 = 5.0;
 /// Lattice step in standard deviations of the posterior at which sums over the lattice are integrals to 1e-3.
-const RESOLUTION: f64 = 1.2;
+const RESOLUTION: f64 = 1.4;
 /// Logarithm of a share that changes no sum.
 const NOTHING: f64 = -36.0;
 /// Samples times candidates times levels below which one thread is faster than several.
@@ -221,7 +221,7 @@ impl<'a> Problem<'a> {
     ) -> (Posterior, Option<Vec<[f64; 2]>>) {
         if coarse && self.options.step.is_none() {
             let posterior = self.density(offsets.clone(), step, &self.all_levels());
-            if self.hopeless(&posterior) {
+            if self.hopeless(&posterior, 1.0) {
                 return (posterior, None);
             }
         }
@@ -229,8 +229,9 @@ impl<'a> Problem<'a> {
         (posterior, Some(kept))
     }
 
-    fn hopeless(&self, posterior: &Posterior) -> bool {
-        1.0 - self.near_mode(posterior) > HOPELESS.max(5.0 * self.options.max_risk)
+    /// Whether a lattice whose step is `share` of the first one's says that no fix is near; the finer it is, the more it is believed.
+    fn hopeless(&self, posterior: &Posterior, share: f64) -> bool {
+        1.0 - self.near_mode(posterior) > (HOPELESS * share).max(3.0 * self.options.max_risk)
     }
 
     /// The search: `keep` for the offsets that matter later, `coarse` to end early where no fix is near.
@@ -250,6 +251,7 @@ impl<'a> Problem<'a> {
             return (posterior, kept);
         }
         let mut stages = 1;
+        let first_step = step[0];
         let mut levels = self.all_levels();
         let mut bounds = self.likelihoods::<true>(&offsets, step, &levels);
         let Some(reference) = self.reference(&offsets, step, &bounds) else {
@@ -275,9 +277,9 @@ impl<'a> Problem<'a> {
             }
             // A posterior that is wider than the tolerance and that this lattice resolves needs no finer one to say so.
             let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
-            if kept.len() > BROAD && (resolved || coarse && stages > 1) {
+            if resolved && kept.len() > BROAD || coarse && stages > 1 {
                 let mut posterior = self.density(kept.clone(), step, &levels);
-                if coarse && self.hopeless(&posterior) || resolved && self.near_mode(&posterior) < 0.5 {
+                if coarse && self.hopeless(&posterior, step[0] / first_step) || resolved && self.near_mode(&posterior) < 0.5 {
                     posterior.stages = stages + 1;
                     return (posterior, kept_for_later);
                 }
@@ -302,6 +304,11 @@ impl<'a> Problem<'a> {
             stages += 1;
         }
         posterior.stages = stages;
+        // Sums over a lattice that resolves the modes are integrals: nothing is left between its places.
+        let between = lattice_variance(posterior.step, self.scale_m);
+        for blur in &mut posterior.blur_m {
+            *blur = (*blur * *blur - between).max(0.0).sqrt();
+        }
         (posterior, kept_for_later)
     }
 
@@ -553,8 +560,8 @@ impl<'a> Problem<'a> {
                 *lp -= total;
             }
         }
-        let lattice2 = (0..2).map(|d| (step[d] * self.scale_m[d]).powi(2)).sum::<f64>() / 24.0;
-        let blur_m = blur2.iter().map(|b| (b + lattice2).sqrt()).collect();
+        let between = lattice_variance(step, self.scale_m);
+        let blur_m = blur2.iter().map(|b| (b + between).sqrt()).collect();
         Posterior { offsets, log_p, blur_m, step, stages: 1 }
     }
 
@@ -813,6 +820,11 @@ fn select(offsets: &[[f64; 2]], merit: &[f64], depth: f64, most: usize) -> Vec<[
         floor = values[most - 1];
     }
     offsets.iter().zip(merit).filter(|(_, m)| **m >= floor).map(|(o, _)| *o).collect()
+}
+
+/// Variance per axis of a place anywhere in a lattice cell, square metres.
+fn lattice_variance(step: [f64; 2], scale_m: [f64; 2]) -> f64 {
+    (0..2).map(|d| (step[d] * scale_m[d]).powi(2)).sum::<f64>() / 24.0
 }
 
 /// The four quarters of every cell of this step.
