@@ -42,8 +42,6 @@ pub(super) struct Sample {
     pub gradient: [f32; 2],
     /// What a curve through the nodes would differ by from the straight line between them.
     pub curvature: f32,
-    /// Largest second difference of the nodes around.
-    pub bend: f32,
 }
 
 /// The four nodes around each of [`LANES`] places: lower left, lower right, upper left, upper right.
@@ -187,7 +185,7 @@ impl Patch {
     #[inline(always)]
     pub fn at(&self, px: f64, py: f64) -> Sample {
         const UNKNOWN: Sample =
-            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
+            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         if !(px >= -NODE_TOLERANCE
             && py >= -NODE_TOLERANCE
@@ -215,7 +213,7 @@ impl Patch {
         let gx = (b[0] - a[0]) + v * ((f[0] - e[0]) - (b[0] - a[0]));
         let gy = (e[0] - a[0]) + u * ((f[0] - b[0]) - (e[0] - a[0]));
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
-        Sample { value, variance, distance, gradient: [gx, gy], curvature, bend }
+        Sample { value, variance, distance, gradient: [gx, gy], curvature }
     }
 
     /// The nodes around [`LANES`] places (cells of the patch), and where the places lie between them; places that are

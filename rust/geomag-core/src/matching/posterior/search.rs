@@ -189,10 +189,12 @@ impl<'a> Problem<'a> {
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
             let noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
-            let places = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
-            // Single precision has room for a sensor ten million times finer than the signal, and not for one without any error.
+            let places: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
+            // The kernel's unit is the typical error, so that single precision has room on both sides of it.
+            let variances = places.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
+            let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
             let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
-            let unit = noise.sensor_variance.sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
+            let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
             prepared.push(Prepared { patch, places, values, noise, cell_m, unit });
         }
         let tolerance_m = options.tolerance_m.unwrap_or_else(|| (cell[0] * scale_m[0]).max(cell[1] * scale_m[1]));
