@@ -176,8 +176,9 @@ fn status(
     // A second place, not the flank of the first: the mass around the best point away from the answer.
     let rival = posterior.log_p.iter().position(|lp| *lp == runner_up && lp.is_finite());
     if let Some(rival) = rival {
-        let far =
-            |a: [f64; 2], b: [f64; 2]| square((a[0] - b[0]) * scale[0], (a[1] - b[1]) * scale[1]) > problem.tolerance_m.powi(2);
+        let far = |a: [f64; 2], b: [f64; 2]| {
+            square((a[0] - b[0]) * scale[0], (a[1] - b[1]) * scale[1]) > problem.tolerance_m.powi(2)
+        };
         let there = posterior.offsets[rival];
         let distance = ((there[0] - offset[0]) * scale[0]).hypot((there[1] - offset[1]) * scale[1]);
         let mass: f64 = posterior.offsets.iter().zip(p).filter(|(o, _)| !far(**o, there)).map(|(_, p)| *p).sum();

@@ -78,7 +78,8 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let mut patch = Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level, even: false };
+        let mut patch =
+            Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level, even: false };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
         let map_columns = grid.map_or(0, |g| g.x().len());
         for r in 0..rows {
@@ -253,10 +254,8 @@ impl Patch {
     /// it are left alone. `false`, with nothing done, where that would leave the patch.
     #[inline(always)]
     pub fn corners_in_row(&self, px: f64, py: f64, start: usize, out: &mut Corners) -> bool {
-        let inside = px >= 0.0
-            && py >= 0.0
-            && px + LANES as f64 <= (self.columns - 1) as f64
-            && py < (self.rows - 1) as f64;
+        let inside =
+            px >= 0.0 && py >= 0.0 && px + LANES as f64 <= (self.columns - 1) as f64 && py < (self.rows - 1) as f64;
         if !inside {
             return false;
         }

@@ -23,6 +23,9 @@ const FIRST_STAGE: f64 = 2500.0;
 const SURVIVORS: usize = 6000;
 /// Risk over the first lattice from which a sequence that goes on is not searched any closer.
 const HOPELESS: f64 = 0.3;
+/// Modes that the last lattice has to resolve, and how far in the logarithm below the best they may lie.
+const RIVALS: usize = 4;
+const RIVAL: f64 = 6.0;
 /// Cells that are left from which a posterior may be wider than the tolerance.
 const BROAD: usize = 100;
 /// Cells from which the reference place is sought.
@@ -281,7 +284,9 @@ impl<'a> Problem<'a> {
             let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
             if resolved && kept.len() > BROAD || coarse && stages > 1 {
                 let mut posterior = self.density(kept.clone(), step, &levels);
-                if coarse && self.hopeless(&posterior, step[0] / first_step) || resolved && self.near_mode(&posterior) < 0.5 {
+                if coarse && self.hopeless(&posterior, step[0] / first_step)
+                    || resolved && self.near_mode(&posterior) < 0.5
+                {
                     posterior.stages = stages + 1;
                     return (posterior, kept_for_later);
                 }
@@ -360,7 +365,7 @@ impl<'a> Problem<'a> {
                 .map(|blocks| std::array::from_fn(|v| blocks[best / LANES].log_likelihood[v][best % LANES]))
                 .collect();
             let found = self.at_reference(some[best], step, &densities, log_likelihood);
-                if self.resolves(step, found.spread_m) {
+            if self.resolves(step, found.spread_m) {
                 return Some(found);
             }
         }
@@ -454,9 +459,8 @@ impl<'a> Problem<'a> {
         for (c, (channel, blocks)) in self.channels.iter().zip(bounds).enumerate() {
             let law = self.law(channel, blocks, levels[c].clone());
             let best = &reference.log_likelihood[c];
-            let share = |v: usize| {
-                (reference.weights[c][v] + LEVEL_SLACK).min(0.0) - (reference.areas[c][v] - cell).max(0.0)
-            };
+            let share =
+                |v: usize| (reference.weights[c][v] + LEVEL_SLACK).min(0.0) - (reference.areas[c][v] - cell).max(0.0);
             let shares: [f64; LEVELS] = std::array::from_fn(share);
             for (i, sum) in excess.iter_mut().enumerate() {
                 let scores = &blocks[i / LANES].log_likelihood;
@@ -469,23 +473,40 @@ impl<'a> Problem<'a> {
         excess
     }
 
-    /// Whether a finer lattice would change nothing that matters.
+    /// Whether a finer lattice would change nothing that matters: whether this one resolves every mode that carries mass.
     fn fine_enough(&self, posterior: &Posterior) -> bool {
-        // Spread of the main mode; the lattice is fine once it resolves that.
         let Some(best) = posterior.mode() else { return true };
-        let centre = posterior.offsets[best];
-        let mut sums = [0.0; 3];
-        for (o, lp) in posterior.offsets.iter().zip(&posterior.log_p) {
-            let (dx, dy) = ((o[0] - centre[0]) * self.scale_m[0], (o[1] - centre[1]) * self.scale_m[1]);
-            if *lp > NOTHING && dx * dx + dy * dy <= self.tolerance_m * self.tolerance_m {
-                let p = lp.exp();
-                sums[0] += p;
-                sums[1] += p * dx * dx;
-                sums[2] += p * dy * dy;
+        let tolerance2 = self.tolerance_m * self.tolerance_m;
+        let mut left: Vec<usize> = (0..posterior.offsets.len())
+            .filter(|&i| posterior.log_p[i] > posterior.log_p[best] - 2.0 * RIVAL)
+            .collect();
+        let mut top = best;
+        for _ in 0..RIVALS {
+            let centre = posterior.offsets[top];
+            let mut sums = [0.0; 3];
+            left.retain(|&i| {
+                let o = posterior.offsets[i];
+                let (dx, dy) = ((o[0] - centre[0]) * self.scale_m[0], (o[1] - centre[1]) * self.scale_m[1]);
+                let near = dx * dx + dy * dy <= tolerance2;
+                if near {
+                    let p = (posterior.log_p[i] - posterior.log_p[best]).exp();
+                    sums[0] += p;
+                    sums[1] += p * dx * dx;
+                    sums[2] += p * dy * dy;
+                }
+                !near
+            });
+            let spread = (sums[1].min(sums[2]) / sums[0].max(f64::MIN_POSITIVE)).sqrt();
+            if !self.resolves(posterior.step, spread.max(posterior.blur_m[top])) {
+                return false;
+            }
+            let next = left.iter().copied().reduce(|a, b| if posterior.log_p[b] > posterior.log_p[a] { b } else { a });
+            match next {
+                Some(next) if posterior.log_p[next] > posterior.log_p[best] - RIVAL => top = next,
+                _ => break,
             }
         }
-        let spread = (sums[1].min(sums[2]) / sums[0].max(f64::MIN_POSITIVE)).sqrt().max(posterior.blur_m[best]);
-        self.resolves(posterior.step, spread)
+        true
     }
 
     fn setup<'b>(&'b self, channel: &'b Prepared, levels: &'b [Level], step: [f64; 2]) -> Setup<'b> {

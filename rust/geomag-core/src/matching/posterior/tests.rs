@@ -186,7 +186,10 @@ fn fields() -> Vec<(&'static str, GridMap)> {
     };
     vec![
         ("rough", exact()),
-        ("smooth", draw(&|x, y| 300.0 * (0.5 * x).sin() * (0.4 * y).cos() + 30.0 * (1.1 * x - 0.9 * y).sin() + 5.0 * y)),
+        (
+            "smooth",
+            draw(&|x, y| 300.0 * (0.5 * x).sin() * (0.4 * y).cos() + 30.0 * (1.1 * x - 0.9 * y).sin() + 5.0 * y),
+        ),
         ("ridges", draw(&|x, y| 80.0 * (1.9 * (x + 0.3 * y)).sin() + 25.0 * (2.3 * y + 0.4 * x).cos())),
         ("uneven", uneven()),
     ]
@@ -202,7 +205,10 @@ fn uneven() -> GridMap {
             values.push(rough * (0.1 + 0.5 * (1.0 + ((x - 6.0) / 0.4).tanh())) + 4.0 * (1.3 * y).sin());
         }
     }
-    GridMap::new(GridValues::F64(values), &axis, &axis, false).unwrap().with_sigma(Some(MapSigma::Constant(0.0))).unwrap()
+    GridMap::new(GridValues::F64(values), &axis, &axis, false)
+        .unwrap()
+        .with_sigma(Some(MapSigma::Constant(0.0)))
+        .unwrap()
 }
 
 fn nees(covariance: [[f64; 2]; 2], e: [f64; 2]) -> f64 {
@@ -218,23 +224,27 @@ fn the_stages_find_what_one_fine_lattice_finds() {
     let mut staged = PosteriorOptions::new([500.0, 500.0]);
     staged.tolerance_m = Some(60.0);
     let whole = PosteriorOptions { step: Some([6.25, 6.25]), ..staged.clone() };
+    // Away from the border, over which the stages reach by half a cell to see what lies beyond it.
     let mut rng = Pcg64Mcg::seed_from_u64(5);
     let (mut sure, mut worst) = (0, 0.0_f64);
-    for seed in 0..120 {
-        let offset = [rng.random_range(-450.0..450.0), rng.random_range(-450.0..450.0)];
-        let track = flight(&map, offset, 9, 1.5, 0.0, seed);
+    for seed in 0..60 {
+        let offset = [rng.random_range(-320.0..320.0), rng.random_range(-320.0..320.0)];
+        let track = flight(&map, offset, 18, 1.5, 0.0, seed);
         let a = match_posterior(&map, &track, Some(1.5), &staged).unwrap();
         let b = match_posterior(&map, &track, Some(1.5), &whole).unwrap();
         let (ra, rb) = (a.risk.unwrap(), b.risk.unwrap());
-        worst = worst.max((ra - rb).abs());
-        assert!((ra - rb).abs() < 0.05, "seed {seed}: risk {ra} in stages, {rb} at once");
+        // Above that the stages may end early: nothing is declared there.
+        if ra.min(rb) < 0.1 {
+            worst = worst.max((ra - rb).abs());
+            assert!((ra - rb).abs() < 0.04, "seed {seed}: risk {ra} in stages, {rb} at once");
+        }
         if rb < 0.05 {
             sure += 1;
             let apart = (a.offset_m[0] - b.offset_m[0]).hypot(a.offset_m[1] - b.offset_m[1]);
             assert!(apart < 6.0, "seed {seed}: {apart} m apart");
         }
     }
-    assert!(sure > 40, "{sure} of 120, worst {worst}");
+    assert!(sure > 20, "{sure} of 60, worst {worst}");
 }
 
 #[test]
@@ -247,12 +257,12 @@ fn the_stages_lose_nothing_when_heading_and_drift_are_unknown() {
     let whole = PosteriorOptions { step: Some([12.5, 12.5]), ..staged.clone() };
     let mut rng = Pcg64Mcg::seed_from_u64(6);
     for seed in 0..30 {
-        let offset = [rng.random_range(-350.0..350.0), rng.random_range(-350.0..350.0)];
+        let offset = [rng.random_range(-220.0..220.0), rng.random_range(-220.0..220.0)];
         let track = flight(&map, offset, 14, 1.5, 3.0, seed);
         let a = match_posterior(&map, &track, Some(1.5), &staged).unwrap();
         let b = match_posterior(&map, &track, Some(1.5), &whole).unwrap();
         let (ra, rb) = (a.risk.unwrap(), b.risk.unwrap());
-        assert!((ra - rb).abs() < 0.08, "seed {seed}: risk {ra} in stages, {rb} at once");
+        assert!(ra.min(rb) > 0.1 || (ra - rb).abs() < 0.04, "seed {seed}: risk {ra} in stages, {rb} at once");
     }
 }
 
