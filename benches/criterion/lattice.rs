@@ -46,7 +46,7 @@ fn kernels(c: &mut Criterion) {
             group.throughput(Throughput::Elements((rows * columns * samples) as u64));
             for threads in [1, 2] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                let run = || pool.install(|| comparison.scores(Msd, 0..rows, 0..columns, &Quiet).unwrap());
+                let run = || pool.install(|| comparison.scores(Msd, 0..rows, 0..columns, None, &Quiet).unwrap());
                 let best = run().into_iter().enumerate().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap().0;
                 assert_eq!((best / columns, best % columns), (rows / 2 - 5, columns / 2 + 7));
                 let id = BenchmarkId::new(format!("{name} {threads} threads"), format!("{side}x{side}x{samples}"));

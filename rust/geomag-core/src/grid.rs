@@ -195,6 +195,43 @@ pub enum MapSigma {
     Grid(Vec<f64>),
 }
 
+/// Where the holes of a map are, by blocks of nodes: one hole in a corner must not slow down the whole map.
+#[derive(Debug, Clone, PartialEq)]
+struct Holes {
+    count: usize,
+    blocks_a_row: usize,
+    /// Row-major; ends with the last row of blocks that has a hole.
+    blocks: Vec<bool>,
+}
+
+impl Holes {
+    /// Nodes a side of a block.
+    const BLOCK: usize = 32;
+
+    fn none(columns: usize) -> Self {
+        Self { count: 0, blocks_a_row: columns.div_ceil(Self::BLOCK), blocks: Vec::new() }
+    }
+
+    fn add(&mut self, row: usize, column: usize) {
+        self.count += 1;
+        let first = row / Self::BLOCK * self.blocks_a_row;
+        if self.blocks.len() <= first {
+            self.blocks.resize(first + self.blocks_a_row, false);
+        }
+        self.blocks[first + column / Self::BLOCK] = true;
+    }
+
+    fn may_be_in(&self, rows: Range<usize>, columns: Range<usize>) -> bool {
+        let across = columns.start / Self::BLOCK..columns.end.div_ceil(Self::BLOCK).min(self.blocks_a_row);
+        let mut block_rows = self
+            .blocks
+            .chunks(self.blocks_a_row.max(1))
+            .take(rows.end.div_ceil(Self::BLOCK))
+            .skip(rows.start / Self::BLOCK);
+        self.count > 0 && block_rows.any(|row| row[across.clone()].contains(&true))
+    }
+}
+
 /// A regular grid of field values: the map that matchers compare with.
 ///
 /// Stored with both axes ascending, whatever direction they came in. A NaN is a hole: any interpolation that would need
@@ -213,7 +250,7 @@ pub struct GridMap {
     y: Axis,
     values: GridValues,
     geographic: bool,
-    holes: usize,
+    holes: Holes,
     mean: f64,
     sigma: Option<MapSigma>,
     error_model: Option<MapErrorModel>,
@@ -289,8 +326,9 @@ impl GridMap {
                 ));
             }
         }
-        let (mut sum, mut count) = (0.0, 0_usize);
+        let mut sum = 0.0;
         let mut origin = f64::NAN;
+        let mut holes = Holes::none(x.len());
         for i in 0..values.len() {
             let v = values.get(i);
             if v.is_infinite() {
@@ -300,19 +338,20 @@ impl GridMap {
                     got: v,
                 });
             }
-            if !v.is_nan() {
+            if v.is_nan() {
+                holes.add(i / x.len(), i % x.len());
+            } else {
                 if origin.is_nan() {
                     origin = v;
                 }
                 // Summed about the first value: maps of total intensity are 50,000 nT plus a little.
                 sum += v - origin;
-                count += 1;
             }
         }
+        let count = values.len() - holes.count;
         if count == 0 {
             return Err(Error::invalid("map values", "at least one value that is not NaN", "only NaN"));
         }
-        let holes = values.len() - count;
         Ok(Self { x, y, values, geographic, holes, mean: origin + sum / count as f64, sigma: None, error_model: None })
     }
 
@@ -381,7 +420,12 @@ impl GridMap {
 
     /// Number of NaN nodes.
     pub fn holes(&self) -> usize {
-        self.holes
+        self.holes.count
+    }
+
+    /// Whether a hole may lie in the block of nodes of these rows and columns; true is exact to some nodes only.
+    pub(crate) fn may_have_holes(&self, rows: Range<usize>, columns: Range<usize>) -> bool {
+        self.holes.may_be_in(rows, columns)
     }
 
     /// What is known of the error of the values.

@@ -110,6 +110,13 @@ impl Track {
         )
     }
 
+    /// Standard deviation of the readings.
+    pub fn spread(&self) -> f64 {
+        let n = self.values.len() as f64;
+        let mean = self.values.iter().sum::<f64>() / n;
+        (self.values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
+    }
+
     /// Along-track distance of every sample from the first, metres.
     pub fn distance_m(&self, geographic: bool) -> Vec<f64> {
         let mut out = Vec::with_capacity(self.len());

@@ -13,13 +13,6 @@ use crate::grid::{field, interpolation};
 use crate::long_call;
 use crate::track::PyTrack;
 
-fn spread(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let spread = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
-    if spread > 0.0 { spread } else { 1.0 }
-}
-
 fn criterion(
     name: &str,
     track: &Track,
@@ -33,15 +26,7 @@ fn criterion(
         "mad" => Criterion::Mad,
         "prod" => Criterion::Prod,
         "ncc" => Criterion::Ncc,
-        "hausdorff" => {
-            let length = track.distance_m(geographic).last().copied().unwrap_or(0.0);
-            let mean_spacing = length / (track.len() as f64 - 1.0).max(1.0);
-            Criterion::Hausdorff {
-                length_scale_m: length_scale_m.unwrap_or(if mean_spacing > 0.0 { mean_spacing } else { 1.0 }),
-                value_scale: value_scale.unwrap_or_else(|| spread(track.values())),
-                fraction,
-            }
-        }
+        "hausdorff" => Criterion::hausdorff(track, geographic, length_scale_m, value_scale, fraction),
         other => return Err(invalid("criterion", "'msd', 'mad', 'prod', 'ncc' or 'hausdorff'", format!("'{other}'"))),
     })
 }

@@ -6,9 +6,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 
 use super::OffsetLattice;
+use super::best_two::BestTwo;
 use super::shift::{Classes, Row, Shift};
 use super::simd::{Real, dispatch};
-use super::tile::{MAX_SLOTS, Measure, TILE_COLUMNS, TILE_ROWS, Tile, TileSums};
+use super::tile::{MAX_SLOTS, Measure, TILE_COLUMNS, TILE_ROWS, Tile, TileScores};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues, Interpolation};
@@ -124,7 +125,8 @@ impl<'a> Comparison<'a> {
 
     /// Scores of all candidates of `rows` x `columns`, row-major, NaN where too few samples are known.
     ///
-    /// Same input, same bits, for any number of threads.
+    /// Where only the `best` two are wanted, a candidate that is neither may be NaN as well: it is given up as soon as
+    /// its partial sum says so. Same input, same bits of what is wanted, for any number of threads.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -133,13 +135,19 @@ impl<'a> Comparison<'a> {
         measure: M,
         rows: Range<usize>,
         columns: Range<usize>,
+        best: Option<&BestTwo>,
         monitor: &dyn Monitor,
     ) -> Result<Vec<f64>> {
-        let mut out = vec![f64::NAN; rows.len() * columns.len()];
+        // Every place is written; zeros come from the system untouched, so that the threads share the first touch.
+        let mut out = vec![0.0; rows.len() * columns.len()];
         if let Some((grid, classes)) = self.fast() {
             match grid.values() {
-                GridValues::F64(v) => self.scores_fast(measure, grid, v, classes, rows, columns, &mut out, monitor)?,
-                GridValues::F32(v) => self.scores_fast(measure, grid, v, classes, rows, columns, &mut out, monitor)?,
+                GridValues::F64(v) => {
+                    self.scores_fast(measure, grid, v, classes, rows, columns, best, &mut out, monitor)?;
+                }
+                GridValues::F32(v) => {
+                    self.scores_fast(measure, grid, v, classes, rows, columns, best, &mut out, monitor)?;
+                }
             }
         } else {
             let score = |m: &[f64], known: &[usize]| {
@@ -211,9 +219,7 @@ impl<'a> Comparison<'a> {
                             values.push(m);
                         }
                     }
-                    if known.len() >= self.min_samples {
-                        *out = score(values, known);
-                    }
+                    *out = if known.len() >= self.min_samples { score(values, known) } else { f64::NAN };
                 }
             }
             let finished = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -253,6 +259,7 @@ impl<'a> Comparison<'a> {
         classes: Classes,
         rows: Range<usize>,
         columns: Range<usize>,
+        best: Option<&BestTwo>,
         out: &mut [f64],
         monitor: &dyn Monitor,
     ) -> Result<()> {
@@ -267,7 +274,7 @@ impl<'a> Comparison<'a> {
         let bands = rows.len().div_ceil(band_rows) as u64;
         let done = AtomicU64::new(0);
         let half = self.lattice.half.map(|h| h as i64);
-        let work = |(sums, shifts): &mut (TileSums<T>, Vec<Shift>), band: usize, out_band: &mut [f64]| {
+        let work = |(scores, shifts): &mut (TileScores<T>, Vec<Shift>), band: usize, out_band: &mut [f64]| {
             let first_row = rows.start + band * band_rows;
             let band_height = out_band.len() / width;
             for cy in 0..qy.min(band_height) {
@@ -280,29 +287,32 @@ impl<'a> Comparison<'a> {
                     for start in (0..class_columns).step_by(TILE_COLUMNS) {
                         let tile = Tile {
                             values,
+                            grid,
                             map_rows: grid.y().len(),
                             map_columns: grid.x().len(),
-                            holes: grid.holes() > 0,
                             shifts,
                             measured: &measured,
                             weights: weights.as_deref(),
+                            total_weight,
+                            min_samples: self.min_samples,
+                            best,
                             first_column: start as i64,
                             rows: tile_rows,
                             columns: TILE_COLUMNS.min(class_columns - start),
                         };
-                        let full = tile.sum(measure, sums);
+                        tile.score(measure, scores);
                         for r in 0..tile_rows {
-                            for c in 0..tile.columns {
-                                let (count, weight) = if full {
-                                    (sums.count(r, c), sums.weight(r, c))
-                                } else {
-                                    (self.points.len() as f64, total_weight)
-                                };
-                                if count >= self.min_samples as f64 && weight > 0.0 {
-                                    let at = (cy + r * qy) * width + cx + (start + c) * qx;
-                                    out_band[at] = measure.finish(sums.sums(r, c), weight, full);
-                                }
+                            let at = (cy + r * qy) * width + cx + start * qx;
+                            let row = scores.row(r, tile.columns);
+                            if qx == 1 {
+                                out_band[at..at + row.len()].copy_from_slice(row);
+                            } else {
+                                out_band[at..].iter_mut().step_by(qx).zip(row).for_each(|(out, score)| *out = *score);
                             }
+                        }
+                        if let Some(best) = best.filter(|_| M::GROWS) {
+                            let (score, r, c) = scores.least(tile.columns);
+                            best.finished(score, first_row + cy + r * qy, columns.start + cx + (start + c) * qx);
                         }
                     }
                 }
@@ -310,7 +320,7 @@ impl<'a> Comparison<'a> {
             let finished = done.fetch_add(1, Ordering::Relaxed) + 1;
             monitor.advance(finished, bands)
         };
-        let scratch = || (TileSums::<T>::default(), Vec::with_capacity(positions.len()));
+        let scratch = || (TileScores::<T>::default(), Vec::with_capacity(positions.len()));
         for_each_chunk(out, band_rows * width.max(1), positions.len(), scratch, work)
     }
 }

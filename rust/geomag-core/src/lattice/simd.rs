@@ -6,7 +6,7 @@
 use pulp::Simd;
 
 /// A number of the kernels, alone and as a vector.
-pub trait Real: Copy + Send + Sync + Default + std::fmt::Debug + 'static {
+pub trait Real: Copy + PartialOrd + Send + Sync + Default + std::fmt::Debug + 'static {
     /// A vector of the instruction set `S`.
     type Vector<S: Simd>: Copy;
     /// Numbers in a vector.
@@ -33,13 +33,15 @@ pub trait Real: Copy + Send + Sync + Default + std::fmt::Debug + 'static {
     fn mul<S: Simd>(simd: S, a: Self::Vector<S>, b: Self::Vector<S>) -> Self::Vector<S>;
     /// Absolute value.
     fn abs<S: Simd>(simd: S, a: Self::Vector<S>) -> Self::Vector<S>;
+    /// The vector that begins one lane later; `after` is the one that follows.
+    fn one_later<S: Simd>(simd: S, here: Self::Vector<S>, after: Self::Vector<S>) -> Self::Vector<S>;
     /// `yes` in the lanes where `m` is a number, `no` where it is NaN: a missing map value is NaN.
     fn if_known<S: Simd>(simd: S, m: Self::Vector<S>, yes: Self::Vector<S>, no: Self::Vector<S>) -> Self::Vector<S>;
 }
 
 macro_rules! real {
     ($t:ty, $v:ident, $lanes:ident, $as:ident, $as_mut:ident, $load:ident, $splat:ident, $fma:ident, $add:ident,
-     $sub:ident, $mul:ident, $abs:ident, $equal:ident, $select:ident) => {
+     $sub:ident, $mul:ident, $abs:ident, $equal:ident, $select:ident, $rotate:ident, $between:ident) => {
         impl Real for $t {
             type Vector<S: Simd> = S::$v;
             #[inline(always)]
@@ -91,6 +93,11 @@ macro_rules! real {
                 simd.$abs(a)
             }
             #[inline(always)]
+            fn one_later<S: Simd>(simd: S, here: S::$v, after: S::$v) -> S::$v {
+                let all_but_last = simd.$between(0, (S::$lanes - 1) as _).mask();
+                simd.$select(all_but_last, simd.$rotate(here, 1), simd.$rotate(after, 1))
+            }
+            #[inline(always)]
             fn if_known<S: Simd>(simd: S, m: S::$v, yes: S::$v, no: S::$v) -> S::$v {
                 simd.$select(simd.$equal(m, m), yes, no)
             }
@@ -111,7 +118,9 @@ real!(
     mul_f32s,
     abs_f32s,
     equal_f32s,
-    select_f32s
+    select_f32s,
+    rotate_left_f32s,
+    mask_between_m32s
 );
 real!(
     f64,
@@ -127,7 +136,9 @@ real!(
     mul_f64s,
     abs_f64s,
     equal_f64s,
-    select_f64s
+    select_f64s,
+    rotate_left_f64s,
+    mask_between_m64s
 );
 
 /// Runs a kernel with the best instruction set of this machine, chosen at run time.

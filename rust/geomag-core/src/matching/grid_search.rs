@@ -1,5 +1,7 @@
 //! Grid search: every offset of a lattice (and every heading and scale asked for) scored with a similarity measure.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_finite, require_positive};
@@ -7,7 +9,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status, Surface};
 use crate::grid::Interpolation;
 use crate::kalman::chi_square_cdf;
-use crate::lattice::{Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Pivot, place_track};
+use crate::lattice::{BestTwo, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Pivot, place_track};
 use crate::matching::local_fit::LocalFit;
 use crate::matching::similarity::{Criterion, Robust, Scoring};
 use crate::monitor::Monitor;
@@ -170,20 +172,24 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         )
     };
 
+    let away: [f64; 2] = std::array::from_fn(|d| (2.0 * spacing[d] / step[d] - 1e-9).max(1.0));
+    let contest = BestTwo::new(away);
+    let wanted = (!search.surface).then_some(&contest);
     let (mut surface, chosen) = search_surface(&placements, &lattice, monitor, |placement, part| {
         let comparison = compare(placement, search.interpolation)?;
-        scoring.scores(&comparison, field.mean(), &distance_m, 0..lattice.rows(), 0..lattice.columns(), part)
+        scoring.scores(&comparison, field.mean(), &distance_m, 0..lattice.rows(), 0..lattice.columns(), wanted, part)
     })?;
     let columns = lattice.columns();
-    let Some(best) = least(&surface, columns, |_, _| true) else {
+    let Some(best) = least(&surface, columns, [0..0, 0..0]) else {
         return no_score(field, track, search, &lattice);
     };
-    let placement = chosen.get(best.row * columns + best.column).map_or(0, |&p| p as usize);
-    let best = Best { placement, ..best };
-    let away = [2.0 * spacing[0] / step[0], 2.0 * spacing[1] / step[1]].map(|cells| (cells - 1e-9).max(1.0));
-    let runner_up = least(&surface, columns, |row, column| {
-        (row as f64 - best.row as f64).abs() > away[1] || (column as f64 - best.column as f64).abs() > away[0]
-    });
+    let placed = |b: Best| {
+        let placement = chosen.get(b.row * columns + b.column).map_or(0, |&p| p as usize);
+        Best { placement, ..b }
+    };
+    let best = placed(best);
+    let near = [around(best.row, away[1], lattice.rows()), around(best.column, away[0], columns)];
+    let runner_up = least(&surface, columns, near);
 
     let edge = lattice.on_border(best.row, best.column);
     let refine = |candidate: Best| -> Result<Refined> {
@@ -193,18 +199,14 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         let shift = if search.refine && !border { around.vertex() } else { [0.0; 2] };
         let [ox, oy] = lattice.offset(candidate.row, candidate.column);
         let offset = [ox + shift[0] * step[0], oy + shift[1] * step[1]];
-        let there = scoring.scores(&comparison.at_offset(offset)?, field.mean(), &distance_m, 0..1, 0..1, monitor)?[0];
+        let there =
+            scoring.scores(&comparison.at_offset(offset)?, field.mean(), &distance_m, 0..1, 0..1, None, monitor)?[0];
         let on_lattice = around.centre();
         Ok(Refined { offset, on_lattice, least: if there < on_lattice { there } else { on_lattice } })
     };
     let refined = refine(best)?;
     // The runner-up is refined as the best is: one lattice point compared with a minimum would always lose.
-    let rival = runner_up
-        .map(|r| {
-            let placement = chosen.get(r.row * columns + r.column).map_or(0, |&p| p as usize);
-            refine(Best { placement, ..r })
-        })
-        .transpose()?;
+    let rival = runner_up.map(|r| refine(placed(r))).transpose()?;
     let offset = refined.offset;
     let (heading_deg, scale) = placements[best.placement];
 
@@ -212,12 +214,8 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     let newest = points[points.len() - 1];
     let indicated = track.newest();
     let offset = [newest[0] - indicated[0] + offset[0], newest[1] - indicated[1] + offset[1]];
-    let moved: Vec<[f64; 2]> = points
-        .iter()
-        .map(|p| {
-            [field.wrap_x(p[0] + offset[0] - (newest[0] - indicated[0])), p[1] + offset[1] - (newest[1] - indicated[1])]
-        })
-        .collect();
+    let [dx, dy] = [offset[0] - (newest[0] - indicated[0]), offset[1] - (newest[1] - indicated[1])];
+    let moved: Vec<[f64; 2]> = points.iter().map(|p| [field.wrap_x(p[0] + dx), p[1] + dy]).collect();
     let fit = LocalFit::new(field, track, search, &moved, &placements);
     let goodness = search.goodness(&fit);
     let status = if edge {
@@ -226,7 +224,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         Status::Rejected
     } else if fit.uninformative(field, &lattice, newest[1]) {
         Status::Uninformative
-    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, spread(track.values()))) {
+    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, track.spread())) {
         Status::Ambiguous
     } else {
         Status::Fixed
@@ -242,8 +240,10 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     fix.n_samples = fit.samples;
     fix.track = moved;
     if search.surface {
-        for score in &mut surface {
-            *score = search.criterion.natural(*score);
+        if search.criterion.is_negated() {
+            for score in &mut surface {
+                *score = -*score;
+            }
         }
         fix.surface =
             Some(Surface { values: surface, rows: lattice.rows(), columns, first: lattice.offset(0, 0), step });
@@ -315,13 +315,6 @@ impl GridSearch {
     }
 }
 
-/// Standard deviation of the readings.
-fn spread(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
-}
-
 /// Progress of one placement as part of the whole.
 struct PartOf<'a> {
     inner: &'a dyn Monitor,
@@ -335,18 +328,46 @@ impl Monitor for PartOf<'_> {
     }
 }
 
-/// Least score among the candidates that `admit` lets in; ties go to the smaller index.
-fn least(surface: &[f64], columns: usize, admit: impl Fn(usize, usize) -> bool) -> Option<Best> {
+/// Indices less than `len` that are not more than `away` from one.
+fn around(at: usize, away: f64, len: usize) -> Range<usize> {
+    let reach = away.min(len as f64).floor() as usize;
+    at.saturating_sub(reach)..(at + reach + 1).min(len)
+}
+
+/// Least score among the candidates outside a block `[rows, columns]`; ties go to the smaller index.
+fn least(surface: &[f64], columns: usize, without: [Range<usize>; 2]) -> Option<Best> {
+    let [without_rows, without_columns] = without;
     let mut best: Option<Best> = None;
-    for (i, &score) in surface.iter().enumerate() {
-        if score < best.map_or(f64::INFINITY, |b| b.score) {
-            let (row, column) = (i / columns, i % columns);
-            if admit(row, column) {
+    for (row, scores) in surface.chunks_exact(columns).enumerate() {
+        let parts = if without_rows.contains(&row) {
+            [0..without_columns.start, without_columns.end..columns]
+        } else {
+            [0..columns, columns..columns]
+        };
+        for part in parts {
+            let score = least_of(&scores[part.clone()]);
+            if score < best.map_or(f64::INFINITY, |b| b.score) {
+                let column = scores[part.clone()].iter().position(|s| *s == score).unwrap_or(0) + part.start;
                 best = Some(Best { score, row, column, placement: 0 });
             }
         }
     }
     best
+}
+
+/// Least number of a slice, infinite where there is none; several at a time.
+fn least_of(slice: &[f64]) -> f64 {
+    const WIDTH: usize = 16;
+    let lower = |least: &mut f64, &x: &f64| *least = if x < *least { x } else { *least };
+    let mut least = [f64::INFINITY; WIDTH];
+    let chunks = slice.chunks_exact(WIDTH);
+    chunks.remainder().iter().zip(&mut least).for_each(|(x, least)| lower(least, x));
+    for chunk in chunks {
+        for (least, x) in least.iter_mut().zip(chunk) {
+            lower(least, x);
+        }
+    }
+    least.into_iter().fold(f64::INFINITY, f64::min)
 }
 
 /// The answer where no candidate has a score.
@@ -403,7 +424,7 @@ impl Neighbourhood {
         let mut scores = [[f64::NAN; 3]; 3];
         let rows = best.row.saturating_sub(1)..(best.row + 2).min(lattice.rows());
         let columns = best.column.saturating_sub(1)..(best.column + 2).min(lattice.columns());
-        let block = scoring.scores(comparison, map_mean, distance_m, rows.clone(), columns.clone(), monitor)?;
+        let block = scoring.scores(comparison, map_mean, distance_m, rows.clone(), columns.clone(), None, monitor)?;
         for (i, row) in rows.clone().enumerate() {
             for (j, column) in columns.clone().enumerate() {
                 scores[row + 1 - best.row][column + 1 - best.column] = block[i * columns.len() + j];

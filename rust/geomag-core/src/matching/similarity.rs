@@ -10,8 +10,9 @@ use pulp::Simd;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_positive};
-use crate::lattice::{Comparison, MAX_SLOTS, Measure, Real};
+use crate::lattice::{BestTwo, Comparison, MAX_SLOTS, Measure, Real};
 use crate::monitor::Monitor;
+use crate::track::Track;
 
 /// Which measure compares the sequences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -36,6 +37,26 @@ pub enum Criterion {
 }
 
 impl Criterion {
+    /// The Hausdorff distance; scales that are not given are the mean sample spacing and the spread of the readings.
+    pub fn hausdorff(
+        track: &Track,
+        geographic: bool,
+        length_scale_m: Option<f64>,
+        value_scale: Option<f64>,
+        fraction: f64,
+    ) -> Self {
+        let positive = |scale: f64| if scale > 0.0 { scale } else { 1.0 };
+        let mean_spacing = || {
+            let length = track.distance_m(geographic).last().copied().unwrap_or(0.0);
+            positive(length / (track.len() as f64 - 1.0).max(1.0))
+        };
+        Self::Hausdorff {
+            length_scale_m: length_scale_m.unwrap_or_else(mean_spacing),
+            value_scale: value_scale.unwrap_or_else(|| positive(track.spread())),
+            fraction,
+        }
+    }
+
     /// The name used in Python, JSON and reports.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -47,12 +68,14 @@ impl Criterion {
         }
     }
 
+    /// Whether the inner, less-is-better score is the measure's own turned round.
+    pub fn is_negated(self) -> bool {
+        matches!(self, Self::Prod | Self::Ncc)
+    }
+
     /// A score in the measure's own sense from the inner, less-is-better one, and back.
     pub fn natural(self, score: f64) -> f64 {
-        match self {
-            Self::Prod | Self::Ncc => -score,
-            Self::Msd | Self::Mad | Self::Hausdorff { .. } => score,
-        }
+        if self.is_negated() { -score } else { score }
     }
 }
 
@@ -153,10 +176,11 @@ impl Scoring {
     }
 
     /// Scores (less is better) of a block of candidates. `map_mean` is the map's mean, `distance_m` the along-track
-    /// distance of the samples.
+    /// distance of the samples. Where only the `best` two are wanted, candidates that are neither may have no score.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
+    #[allow(clippy::too_many_arguments)] // a block of a lattice, and what it is compared with
     pub fn scores(
         &self,
         comparison: &Comparison<'_>,
@@ -164,6 +188,7 @@ impl Scoring {
         distance_m: &[f64],
         rows: std::ops::Range<usize>,
         columns: std::ops::Range<usize>,
+        best: Option<&BestTwo>,
         monitor: &dyn Monitor,
     ) -> Result<Vec<f64>> {
         let v = comparison.values();
@@ -185,9 +210,9 @@ impl Scoring {
             (Criterion::Msd, None) if self.remove_mean => {
                 // Taken about the level at no offset, so that a large constant does not eat the digits.
                 let centred = comparison.clone().with_values(about_middle(comparison));
-                centred.scores(CentredMsd, rows, columns, monitor)
+                centred.scores(CentredMsd, rows, columns, best, monitor)
             }
-            (Criterion::Msd, None) => comparison.scores(Msd, rows, columns, monitor),
+            (Criterion::Msd, None) => comparison.scores(Msd, rows, columns, best, monitor),
             (Criterion::Mad, _) if self.remove_mean => {
                 let score = |m: &[f64], known: &[usize]| {
                     let bias = weighted_median(m, v, known, weight);
@@ -200,8 +225,8 @@ impl Scoring {
                 };
                 comparison.scores_by(score, rows, columns, monitor)
             }
-            (Criterion::Mad, _) => comparison.scores(Mad, rows, columns, monitor),
-            (Criterion::Prod, _) => comparison.scores(Prod { level: map_mean }, rows, columns, monitor),
+            (Criterion::Mad, _) => comparison.scores(Mad, rows, columns, best, monitor),
+            (Criterion::Prod, _) => comparison.scores(Prod { level: map_mean }, rows, columns, best, monitor),
             (Criterion::Ncc, _) => {
                 let shifted = about_middle(comparison);
                 // The map is taken about the level that the values were taken from.
@@ -211,7 +236,13 @@ impl Scoring {
                 let values: Vec<f64> = shifted.iter().map(|v| v - mean).collect();
                 let spread = values.iter().enumerate().map(|(k, v)| weight(k) * v * v).sum::<f64>();
                 let map_level = v.iter().sum::<f64>() / v.len() as f64 - level;
-                comparison.clone().with_values(values).scores(Ncc { level: map_level, spread }, rows, columns, monitor)
+                comparison.clone().with_values(values).scores(
+                    Ncc { level: map_level, spread },
+                    rows,
+                    columns,
+                    best,
+                    monitor,
+                )
             }
             (Criterion::Hausdorff { length_scale_m, value_scale, fraction }, _) => {
                 let s: Vec<f64> = distance_m.iter().map(|s| s / length_scale_m).collect();
@@ -305,6 +336,7 @@ pub fn hausdorff(s: &[f64], a: &[f64], b: &[f64], fraction: f64) -> f64 {
 pub struct Msd;
 
 impl Measure for Msd {
+    const GROWS: bool = true;
     const SLOTS: usize = 1;
     const SLOTS_WEIGHTED: usize = 1;
 
@@ -322,6 +354,7 @@ impl Measure for Msd {
         sums[0] = T::fma(simd, q, r, sums[0]);
     }
 
+    #[inline(always)]
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
         sums[0] / weight
     }
@@ -350,6 +383,7 @@ impl Measure for CentredMsd {
         sums[1] = T::fma(simd, q, r, sums[1]);
     }
 
+    #[inline(always)]
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
         let mean = sums[0] / weight;
         (sums[1] / weight - mean * mean).max(0.0)
@@ -361,6 +395,7 @@ impl Measure for CentredMsd {
 pub struct Mad;
 
 impl Measure for Mad {
+    const GROWS: bool = true;
     const SLOTS: usize = 1;
     const SLOTS_WEIGHTED: usize = 1;
 
@@ -377,6 +412,7 @@ impl Measure for Mad {
         sums[0] = if WEIGHTED { T::fma(simd, w, r, sums[0]) } else { T::add(simd, sums[0], r) };
     }
 
+    #[inline(always)]
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
         sums[0] / weight
     }
@@ -408,6 +444,7 @@ impl Measure for Prod {
         sums[0] = T::fma(simd, q, T::sub(simd, m, level), sums[0]);
     }
 
+    #[inline(always)]
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, _weighted: bool) -> f64 {
         -sums[0] / weight
     }
@@ -448,15 +485,15 @@ impl Measure for Ncc {
         }
     }
 
+    #[inline(always)]
     fn finish(&self, sums: [f64; MAX_SLOTS], weight: f64, weighted: bool) -> f64 {
         let [m, mm, mv, v, vv] = sums;
         let (v, vv) = if weighted { (v, vv) } else { (0.0, self.spread) };
         let spread_m = mm - m * m / weight;
         let spread_v = vv - v * v / weight;
         // Below rounding of its own sums a sequence is constant, and a constant correlates with nothing.
-        if spread_m <= 1e-12 * mm || spread_v <= 1e-12 * vv {
-            return f64::NAN;
-        }
-        -((mv - m * v / weight) / (spread_m * spread_v).sqrt()).clamp(-1.0, 1.0)
+        let constant = spread_m <= 1e-12 * mm || spread_v <= 1e-12 * vv;
+        let score = -((mv - m * v / weight) / (spread_m * spread_v).sqrt()).clamp(-1.0, 1.0);
+        if constant { f64::NAN } else { score }
     }
 }
