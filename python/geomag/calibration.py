@@ -182,13 +182,19 @@ def assess(
     max_risk: float = 0.01,
     **options: Any,  # noqa: ANN401 - options of match_posterior, as they are
 ) -> Calibration:
-    """Match tracks whose true newest positions `truth` (n, 2) are known. Other options are those of `match_posterior`."""
+    """Match tracks whose true positions are known. Other options are those of `match_posterior`.
+
+    `truth` has the newest position of every track, shape (n, 2), or those of all samples, (n, samples, 2): what a streamed answer
+    needs where the offset changes along the track, because it comes before the last sample.
+    """
     truth = np.asarray(truth, dtype=float)
-    if truth.shape != (len(tracks), 2):
-        raise InvalidInputError(f"truth: needed shape ({len(tracks)}, 2), got {truth.shape}")
+    if truth.shape[:1] != (len(tracks),) or truth.ndim not in (2, 3) or truth.shape[-1] != 2:
+        raise InvalidInputError(
+            f"truth: needed shape ({len(tracks)}, 2) or ({len(tracks)}, samples, 2), got {truth.shape}"
+        )
     if not tracks:
         raise TooFewSamplesError("tracks: needed at least 1, got 0")
-    east, north = grid.metres_per_unit(float(np.mean(truth[:, 1])))
+    east, north = grid.metres_per_unit(float(np.mean(truth[..., 1])))
     fixes = match_posterior_many(
         grid,
         tracks,
@@ -199,13 +205,15 @@ def assess(
     )
     n = len(fixes)
     risk, error, nees = np.ones(n), np.full(n, np.inf), np.full(n, np.nan)
-    for i, (fix, track, (x, y)) in enumerate(zip(fixes, tracks, truth, strict=True)):
+    for i, (fix, track, place) in enumerate(zip(fixes, tracks, truth, strict=True)):
         if fix.risk is None:
             continue
         risk[i] = fix.risk
-        here = grid.metres_per_unit(float(y))
         # Judged by the offset at the newest sample that the answer rests on: a streamed fix may come before the last.
-        e = (np.array(fix.offset) - [x - track.x[-1], y - track.y[-1]]) * here
+        newest = fix.n_samples - 1 if truth.ndim == 3 else -1
+        x, y = place[newest] if truth.ndim == 3 else place
+        here = grid.metres_per_unit(float(y))
+        e = (np.array(fix.offset) - [x - track.x[newest], y - track.y[newest]]) * here
         error[i] = np.hypot(*e)
         covariance = fix.covariance_m2
         if covariance is not None and np.linalg.det(covariance) > 0:
@@ -352,16 +360,20 @@ def calibrate_simulated(
             values = values + (rng.random(samples) < outlier_share) * rng.choice([-1, 1], samples) * outlier
         away = rng.uniform(0, 2 * np.pi)
         age = np.linspace(1, 0, samples)[:, None]
-        offset = rng.uniform(-half_width_m, half_width_m, 2) / metres
         # True = indicated + offset - age * drift at every sample; the heading error turns about the newest.
         turned = (path - path[-1]) * metres
         angle = np.radians(rng.normal(0, heading_deg))
         turned = turned @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).T
-        indicated = (
-            path[-1] + turned / metres - offset + age * drift_m * np.array([np.sin(away), np.cos(away)]) / metres
-        )
+        moved = turned - (path - path[-1]) * metres + age * drift_m * np.array([np.sin(away), np.cos(away)])
+        # The bound that the matcher is told holds all along the track.
+        low_m, high_m = np.max(moved, axis=0) - half_width_m, np.min(moved, axis=0) + half_width_m
+        if np.any(low_m >= high_m):
+            refused += 1
+            continue
+        offset = rng.uniform(low_m, high_m)
+        indicated = path + (moved - offset) / metres
         tracks.append(Track(indicated[:, 0], indicated[:, 1], values))
-        truth.append(path[-1])
+        truth.append(path)
     return assess(
         grid,
         tracks,
