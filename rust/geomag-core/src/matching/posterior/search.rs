@@ -30,6 +30,8 @@ const RIVAL: f64 = 6.0;
 const BROAD: usize = 100;
 /// Cells from which the reference place is sought.
 const STARTS: usize = 8;
+/// Greatest lattice step, in cells, at which the error level of an unknown map is judged.
+const UNKNOWN_STEP: f64 = 0.1251;
 /// Most halvings of the lattice step below one cell of the map.
 const HALVINGS: i32 = 6;
 /// Logarithm of the weight below which an error level is left out, and what the first estimate of it may be wrong by.
@@ -440,6 +442,10 @@ impl<'a> Problem<'a> {
     fn resolves(&self, step: [f64; 2], spread_m: f64) -> bool {
         let relative = (step[0] / self.cell[0]).max(step[1] / self.cell[1]);
         let step_m = self.longest_m(step);
+        // Whether a map without a word on its errors is exact shows only on a lattice that an exact one would need.
+        if relative > UNKNOWN_STEP && self.channels.iter().any(|c| c.noise.levels_are_distances) {
+            return false;
+        }
         relative <= 0.5_f64.powi(HALVINGS) * 1.001
             || (step_m <= 0.34 * self.tolerance_m && step_m <= RESOLUTION * spread_m)
     }
