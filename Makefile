@@ -65,7 +65,7 @@ stubs: $(VENV)/built $(VENV)/dev
 docs: $(VENV)/built $(VENV)/dev $(VENV)/site-tools
 	RUSTDOCFLAGS="-D warnings" cargo doc -p geomag-core --no-deps --locked
 	rm -rf docs/_rust && mkdir -p docs/_rust && cp -r target/doc/. docs/_rust/
-	$(BIN)/sphinx-build --keep-going -q -b html docs site
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs site
 	@echo "open site/index.html"
 
 $(VENV)/site-tools: $(BIN)/python pyproject.toml

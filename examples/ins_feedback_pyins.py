@@ -1,6 +1,6 @@
 """Fixes fed back to an INS that pyins simulates: geomag's own filter, and pyins' full one, on the same fixes.
 
-Needs pyins (`pip install python-ins`). Run: python examples/ins_feedback_pyins.py
+Needs pyins (`pip install geomag-nav[ins]`). Run: python examples/ins_feedback_pyins.py
 """
 
 import numpy as np
@@ -84,7 +84,7 @@ full = filters.run_feedback_filter(
     gyro_model=inertial_sensor.EstimationModel(bias_sd=np.radians(0.01) / 3600),
     accel_model=inertial_sensor.EstimationModel(bias_sd=30e-6 * 9.8),
     measurements=[measurements.Position(table, float(np.median([f[3] for f in fixes])))],
-    time_step=1.0, with_altitude=False,
+    time_step=20.0, with_altitude=False,
 )  # fmt: skip
 theirs = full.trajectory.loc[times, ["lon", "lat"]].to_numpy()
 away = np.array([metres(c, t) for c, t in zip(theirs, true, strict=True)])

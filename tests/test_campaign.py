@@ -57,17 +57,33 @@ def test_a_row_is_what_the_matcher_says_of_that_flight(plan, table):
             )
 
 
-def test_python_callables_give_the_same_rows_as_rust(plan):
+@pytest.mark.parametrize(
+    ("criterion", "options"),
+    [
+        ("msd", {}),
+        ("hausdorff", {}),
+        ("hausdorff", {"length_scale_m": 900.0, "value_scale": 25.0, "fraction": 0.8}),
+    ],
+)
+def test_python_callables_give_the_same_rows_as_rust(plan, criterion, options):
     def by_hand(grid, track):
-        return geomag.match_grid(grid, track, "msd", half_width=2500.0)
+        return geomag.match_grid(grid, track, criterion, half_width=2500.0, **options)
 
-    tables = plan.compare({"rust": campaign.grid_search("msd", half_width=2500.0), "python": by_hand}, 30)
+    method = campaign.grid_search(criterion, half_width=2500.0, **options)
+    tables = plan.compare({"rust": method, "python": by_hand}, 30)
     for column in tables["rust"]:
         ours, theirs = tables["rust"][column], tables["python"][column]
         if column == "status":
             assert ours.tolist() == theirs.tolist()
         else:
             np.testing.assert_allclose(ours, theirs, atol=1e-9, rtol=1e-12, err_msg=column)
+
+
+def test_hausdorff_scales_are_told_and_count(plan):
+    base = plan.run(campaign.grid_search("hausdorff", half_width=2500.0), 20)
+    other = plan.run(campaign.grid_search("hausdorff", half_width=2500.0, value_scale=500.0), 20)
+    assert not np.array_equal(base["score"], other["score"])
+    assert np.median(base["error_m"][base["status"] == "fixed"]) < 500
 
 
 def test_contour_matching_in_rust_is_that_of_the_binding(plan):
@@ -213,9 +229,15 @@ def test_a_broken_pool_says_so_and_a_new_one_goes_on(plan, tmp_path):
     assert table.equals(plan.run(DieOnce(tmp_path / "flag"), 20))
 
 
-def test_dask_cluster_with_a_killed_worker(plan):
+long = pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
+
+
+@pytest.mark.parametrize(("trials", "chunk"), [(6000, 100), pytest.param(100_000, 500, marks=long)])
+def test_dask_cluster_with_a_killed_worker(plan, trials, chunk):
+    """The same table from one thread, two threads and a cluster of processes that lose one of their number."""
     distributed = pytest.importorskip("distributed")
-    expected = plan.run(METHOD, 6000, threads=2)
+    expected = plan.run(METHOD, trials, threads=2)
+    assert plan.run(METHOD, trials, threads=1).equals(expected)
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
@@ -230,14 +252,14 @@ def test_dask_cluster_with_a_killed_worker(plan):
             if len(seen) == 3:  # in mid-run: some chunks are in, most are not
                 os.kill(pids[0], signal.SIGKILL)
 
-        table = plan.run(METHOD, 6000, executor=client, chunk=100, progress=watch)
-        assert len(seen) >= 60
-        assert seen[2] < 6000
+        table = plan.run(METHOD, trials, executor=client, chunk=chunk, progress=watch)
+        assert len(seen) >= trials // chunk
+        assert seen[2] < trials // 2
         deadline = time.monotonic() + 30
         while set(client.run(os.getpid).values()) == set(pids):
             assert time.monotonic() < deadline, "the killed worker was never replaced"
             time.sleep(0.1)
-    assert np.array_equal(table["trial"], np.arange(6000))  # nothing lost, nothing twice
+    assert np.array_equal(table["trial"], np.arange(trials))  # nothing lost, nothing twice
     assert table.equals(expected)
 
 
@@ -262,6 +284,8 @@ def test_dask_executor_interface(plan, table):
         (lambda p: p.run(campaign.Method("iema", {"sigmas": 1}), 1), "sigmas"),
         (lambda p: p.run(campaign.Method("magic", {}), 1), "magic"),
         (lambda p: campaign.grid_search("best", half_width=1), "criterion"),
+        (lambda p: campaign.grid_search("msd", half_width=1, fraction=0.5), "hausdorff"),
+        (lambda p: p.run(campaign.grid_search("hausdorff", half_width=900, fraction=1.5), 1), "fraction"),
         (lambda p: campaign.iema(sigma=1, half_width=(1, 2, 3)), "pair"),
         (lambda p: p.run(campaign.iema(sigma=-1, half_width=100.0), 1), "sigma"),
         (lambda p: campaign.Campaign(p.grid, campaign.RandomTracks(samples=10_000)).run(METHOD, 1), "fit on the map"),

@@ -100,6 +100,7 @@ def test_every_block_runs(page, tmp_path, monkeypatch):
         "geopandas",
         "distributed",
         "netCDF4",
+        "pyins",
     ):
         if library in text:
             pytest.importorskip(library)

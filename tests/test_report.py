@@ -299,3 +299,18 @@ def test_suitability_writes_grid_and_picture(scene, tmp_path):
     bad = geomag_command("suitability", "map.nc", "--speed", "-1", folder=scene[0])
     assert bad.returncode == 1
     assert "--speed" in bad.stderr
+
+
+def test_good_places_are_dark_for_every_method():
+    """The page says that dark is good: a probability is good where it is large."""
+    from geomag.cli.match import LARGEST_IS_BEST, Method
+
+    grid = np.array([[0.1, 0.1], [0.1, 5.0]])
+    dark = {}
+    for least in (True, False):
+        ax = plot.score_surface(grid, [0.0, 1.0], [0.0, 1.0], least_is_best=least, logarithmic=False)
+        image = (ax.images or ax.collections)[0]
+        colours = image.cmap(image.norm(np.array([0.1, 5.0])))[:, :3].sum(axis=1)
+        dark[least] = "small" if colours[0] < colours[1] else "large"
+    assert dark == {True: "small", False: "large"}
+    assert set(LARGEST_IS_BEST) == {Method.prod, Method.ncc, Method.posterior}

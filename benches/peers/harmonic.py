@@ -12,18 +12,10 @@ import time
 import numpy as np
 
 import geomag
+from geomag.cli.bench import best_of
 from geomag.reproduce import e7
 
 ORDER = 18
-
-
-def best_of(repeats, work):
-    took, answer = np.inf, None
-    for _ in range(repeats):
-        start = time.perf_counter()
-        answer = work()
-        took = min(took, time.perf_counter() - start)
-    return took, answer
 
 
 def model_of_order_18(half=2e5):

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 import geomag
+from geomag.cli.bench import numpy_slices
 
 
 def best_of(work, seconds=0.5):
@@ -62,18 +63,6 @@ def scipy_surface(values, xs, ys, measured, half):
     return out / len(xs)
 
 
-def numpy_surface(values, xs, ys, measured, half):
-    n = 2 * half + 1
-    out = np.zeros((n, n))
-    for x, y, v in zip(xs, ys, measured, strict=True):
-        i, j = int(x) - half, int(y) - half
-        tx, ty = x - int(x), y - int(y)
-        block = values[j : j + n + 1, i : i + n + 1]
-        rows = block[:, :-1] * (1 - tx) + block[:, 1:] * tx
-        out += (rows[:-1] * (1 - ty) + rows[1:] * ty - v) ** 2
-    return out / len(xs)
-
-
 def grid_search_table(smoke):
     rows = []
     cases = [(21, 10), (201, 50)] if smoke else [(21, 10), (201, 50), (1001, 100)]
@@ -104,7 +93,7 @@ def grid_search_table(smoke):
             compiled(values, xs, ys, measured, min(half, 2))
             for name, work in (
                 ("Numba loop, parallel", compiled),
-                ("NumPy slices", numpy_surface),
+                ("NumPy slices", numpy_slices),
                 ("scipy map_coordinates", scipy_surface),
             ):
                 slow = side > 500 and name.startswith("scipy")

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, Literal, TypeAlias, final
+from typing import Any, Literal, TypeAlias, TypedDict, Unpack, final
 
 import numpy as np
 import xarray as xr
@@ -590,6 +590,25 @@ class FieldObservations:
     ) -> FieldObservations: ...
     def __len__(self) -> int: ...
 
+class _FitOptions(TypedDict, total=False):
+    order: int | Sequence[int]
+    period_ratio: float | Sequence[float]
+    periods_m: _Pair | None
+    ridge: float | Sequence[float]
+    truncation: float | None
+    damping_m: float | Sequence[float]
+    spectrum_power: float | Sequence[float]
+    anisotropy: float | Sequence[float]
+    misfit: bool
+    huber: float | None
+    max_iterations: int
+    covariance: bool
+    frame: LocalFrame | None
+    unit: str
+    folds: int
+    groups: ArrayLike | None
+    seed: int
+
 @final
 class RectangularHarmonicModel:
     @staticmethod
@@ -604,20 +623,7 @@ class RectangularHarmonicModel:
         sigma: ArrayLike | None = None,
         threads: int | None = None,
         progress: _Progress = None,
-        order: int | Sequence[int] = 12,
-        period_ratio: float | Sequence[float] = 1.5,
-        periods_m: _Pair | None = None,
-        ridge: float | Sequence[float] = 1e-9,
-        truncation: float | None = None,
-        damping_m: float = 0.0,
-        huber: float | None = None,
-        max_iterations: int = 20,
-        covariance: bool = True,
-        frame: LocalFrame | None = None,
-        unit: str = "nT",
-        folds: int = 5,
-        groups: ArrayLike | None = None,
-        seed: int = 0,
+        **options: Unpack[_FitOptions],
     ) -> RectangularHarmonicModel: ...
     @staticmethod
     def fit_observations(
@@ -625,20 +631,7 @@ class RectangularHarmonicModel:
         *,
         threads: int | None = None,
         progress: _Progress = None,
-        order: int | Sequence[int] = 12,
-        period_ratio: float | Sequence[float] = 1.5,
-        periods_m: _Pair | None = None,
-        ridge: float | Sequence[float] = 1e-9,
-        truncation: float | None = None,
-        damping_m: float = 0.0,
-        huber: float | None = None,
-        max_iterations: int = 20,
-        covariance: bool = True,
-        frame: LocalFrame | None = None,
-        unit: str = "nT",
-        folds: int = 5,
-        groups: ArrayLike | None = None,
-        seed: int = 0,
+        **options: Unpack[_FitOptions],
     ) -> RectangularHarmonicModel: ...
     @staticmethod
     def select(
@@ -646,16 +639,16 @@ class RectangularHarmonicModel:
         *,
         threads: int | None = None,
         progress: _Progress = None,
-        order: int | Sequence[int] = 12,
-        period_ratio: float | Sequence[float] = 1.5,
-        ridge: float | Sequence[float] = 1e-9,
-        damping_m: float = 0.0,
-        huber: float | None = None,
-        max_iterations: int = 20,
-        folds: int = 5,
-        groups: ArrayLike | None = None,
-        seed: int = 0,
+        **options: Unpack[_FitOptions],
     ) -> tuple[dict[str, float], list[dict[str, float]]]: ...
+    @staticmethod
+    def leave_out(
+        observations: FieldObservations,
+        *,
+        threads: int | None = None,
+        progress: _Progress = None,
+        **options: Unpack[_FitOptions],
+    ) -> dict[str, Any]: ...
     @staticmethod
     def from_coefficients(
         order: int,
@@ -737,6 +730,8 @@ class RectangularHarmonicModel:
     def frame(self) -> LocalFrame | None: ...
     @property
     def unit(self) -> str: ...
+    @property
+    def misfit(self) -> tuple[float, float]: ...
     @property
     def summary(self) -> dict[str, Any] | None: ...
     def __eq__(self, other: object, /) -> bool: ...

@@ -121,19 +121,33 @@ def grid_search(
     ambiguity: float = 0.01,
     min_overlap: float = 0.8,
     refine: bool = True,
+    length_scale_m: float | None = None,
+    value_scale: float | None = None,
+    fraction: float = 1.0,
 ) -> Method:
-    """Return a grid search over the whole track; options as in `geomag.match_grid`."""
-    names = ("msd", "mad", "prod", "ncc")
+    """Return a grid search over the whole track; options as in `geomag.match_grid`.
+
+    The last three are of the Hausdorff measure; scales that are not given are those of each trial's own track.
+    """
+    names = ("msd", "mad", "prod", "ncc", "hausdorff")
     if criterion not in names:
-        raise InvalidInputError(f"criterion: needed one of {', '.join(names)} in a campaign, got {criterion!r}")
+        raise InvalidInputError(f"criterion: needed one of {', '.join(names)}, got {criterion!r}")
     options: dict[str, Any] = {
-        "criterion": criterion.capitalize(), "half_width": _pair(half_width),
+        "half_width": _pair(half_width),
         "step": None if step is None else _pair(step), "heading_deg": [float(h) for h in heading_deg],
         "scale": [float(s) for s in scale], "remove_mean": bool(remove_mean),
         "sigma": None if sigma is None else float(sigma), "ambiguity": float(ambiguity),
         "min_overlap": float(min_overlap), "refine": bool(refine),
     }  # fmt: skip
-    return Method("grid", options)
+    if criterion == "hausdorff":
+        scales = {"length_scale_m": length_scale_m, "value_scale": value_scale}
+        told = {name: None if scale is None else float(scale) for name, scale in scales.items()}
+        return Method("hausdorff", {**options, **told, "fraction": float(fraction)})
+    if (length_scale_m, value_scale, fraction) != (None, None, 1.0):
+        raise InvalidInputError(
+            f"length_scale_m, value_scale, fraction: needed criterion 'hausdorff', got {criterion!r}"
+        )
+    return Method("grid", {"criterion": criterion.capitalize(), **options})
 
 
 def posterior(

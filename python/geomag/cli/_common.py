@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import typer
 
 from geomag._geomag import GridMap, Track
 from geomag.io import read_track
 
 if TYPE_CHECKING:
     from geomag import Fix
+
+
+def teller(quiet: bool) -> Callable[[str], None]:
+    """Prints, or with `quiet` (for `--json`) does not."""
+
+    def say(text: str) -> None:
+        if not quiet:
+            typer.echo(text)
+
+    return say
 
 
 def jsonable(value: Any) -> Any:  # noqa: ANN401 - anything that a report holds

@@ -13,7 +13,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.cli import NO_FIX, app
-from geomag.cli._common import describe
+from geomag.cli._common import describe, fix_json, teller
 from geomag.cli.match import draw, solve
 from geomag.io import read_grid
 
@@ -137,16 +137,18 @@ def demo(
     out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("out/demo.png"),
     lines: Annotated[Path | None, typer.Option(help="Survey lines (CSV) instead of made-up data.")] = None,
     map: Annotated[Path | None, typer.Option(help="Map that goes with the lines.")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object (the fix and its error) instead of text.")
+    ] = False,
 ) -> int:
     """Match a track with IEMA and grid search, say what a navigator wants to know, and draw it."""
     if (lines is None) != (map is None):
         raise InvalidInputError("demo: needed --lines and --map together, got one of them")
     scene = synthetic_scene(seed) if lines is None or map is None else survey_scene(lines, map, seed)
     east, north = scene.offset_m
-    typer.echo(f"scene       {scene.title}: {len(scene.track)} samples on {scene.grid!r}")
-    typer.echo(
-        f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)"
-    )
+    say = teller(as_json)
+    say(f"scene       {scene.title}: {len(scene.track)} samples on {scene.grid!r}")
+    say(f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)")
     # IEMA's gate knows the sensor alone; off the lattice the map differs by gradient times part of a cell, so the demo
     # gives it that much more, lets a few outliers pass, and asks for a region instead of a single candidate.
     slope = float(np.nanmedian(np.hypot(*scene.grid.gradient(*scene.truth.T))))
@@ -156,10 +158,13 @@ def demo(
     )
     search, _ = solve(scene.grid, scene.track, "mad", scene.half_width_m, surface=True)
     for name, fix in (("IEMA", iema), ("grid search, mean absolute difference about a free level", search)):
-        typer.echo(f"\n{name}")
-        typer.echo("\n".join(describe(fix)))
+        say(f"\n{name}")
+        say("\n".join(describe(fix)))
         if np.isfinite(fix.offset_m).all():
-            typer.echo(f"error       {np.hypot(fix.offset_m[0] - east, fix.offset_m[1] - north):.0f} m")
+            say(f"error       {np.hypot(fix.offset_m[0] - east, fix.offset_m[1] - north):.0f} m")
     draw(scene.grid, scene.track, search, out, "mad, nT", steps, truth=scene.truth)
-    typer.echo(f"\npicture     {out}")
+    say(f"\npicture     {out}")
+    if as_json:
+        error = float(np.hypot(search.offset_m[0] - east, search.offset_m[1] - north))
+        typer.echo(fix_json(search, error_m=error, picture=str(out)))
     return 0 if search.ok else NO_FIX

@@ -95,7 +95,11 @@ def read_columns(path: Path, names: Mapping[str, str], height: str) -> dict[str,
     return out
 
 
-@field_app.command("fit")
+@field_app.command(
+    "fit",
+    epilog="Example: geomag field fit lines.csv --value anomaly --main-field 31000,2000,-42000 --order 8,12,16 "
+    "--group line --out model.json",
+)
 def fit(
     data: Annotated[Path, typer.Argument(help="Table (csv, csv.gz, parquet) or netCDF grid of observations.")],
     out: Annotated[Path, typer.Option(help="Where the model goes (JSON).")],
@@ -187,7 +191,7 @@ def fit(
         typer.echo(f"frame {frame!r}; written to {out}")
 
 
-@field_app.command("eval")
+@field_app.command("eval", epilog="Example: geomag field eval model.json --at=-21.95,140.66,500 --json")
 def evaluate(
     model: Annotated[Path, typer.Argument(help="Model made by `geomag field fit`.")],
     at: Annotated[str | None, typer.Option(help="One place: latitude,longitude,height_m.")] = None,

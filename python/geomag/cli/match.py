@@ -33,6 +33,10 @@ class Method(StrEnum):
     contour = "contour"
 
 
+#: Whose scores are good where they are large.
+LARGEST_IS_BEST = ("prod", "ncc", "posterior")
+
+
 def default_half_width_m(grid: GridMap) -> float:
     """Two kilometres or ten cells, whichever is more."""
     return max(2000.0, 10.0 * max(grid.spacing_m))
@@ -238,7 +242,7 @@ def draw(
         steps=[Frame(*step) for step in steps] or None,
         surface_fix=surface_fix,
         surface_label=method,
-        least_is_best=method not in ("prod", "ncc"),
+        least_is_best=method not in LARGEST_IS_BEST,
     )
     save(figure, path)
 
@@ -263,7 +267,7 @@ def write_report(
         fix,
         steps=[Frame(*step) for step in steps] or None,
         surface_label=method,
-        least_is_best=method not in ("prod", "ncc"),
+        least_is_best=method not in LARGEST_IS_BEST,
         settings=settings,
         title=f"Match of {settings['track']} on {settings['map']}",
     )

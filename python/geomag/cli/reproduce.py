@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -17,11 +18,16 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Folder for the report and its pictures.")] = Path("out/reproduce"),
     seed: Annotated[int, typer.Option(help="Seed of every draw.")] = 2012,
     effort: Annotated[float, typer.Option(help="Share of the full number of trials.")] = 1.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print report.json instead of text.")] = False,
 ) -> int:
     """Rerun the published experiments: published figure beside ours, pictures, report.md and report.json."""
     from geomag.reproduce import run
 
-    reports = run(experiments or [], data=data, out=out, seed=seed, effort=effort, say=typer.echo)
+    say = partial(typer.echo, err=True) if as_json else typer.echo
+    reports = run(experiments or [], data=data, out=out, seed=seed, effort=effort, say=say)
+    if as_json:
+        typer.echo((out / "report.json").read_text(encoding="utf-8"))
+        return 0
     for report in reports:
         typer.echo("\n" + report.markdown())
     typer.echo(f"report and pictures: {out / 'report.md'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 from geomag._errors import InvalidInputError
 from geomag.cli import app
+from geomag.cli._common import jsonable, teller
 from geomag.io import read_grid
 
 
@@ -37,6 +39,7 @@ def suitability(
     plot: Annotated[Path | None, typer.Option(help="Write a picture of the worst heading to this file.")] = None,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")] = False,
 ) -> int:
     """Bound the position error of a straight track to every node of a map: where a fix can be had, how soon."""
     from geomag.blocks import position_bound
@@ -54,34 +57,39 @@ def suitability(
         map_error_m=map_error_m,
         tolerance_m=tolerance_m,
         geographic=grid.geographic,
-        progress=True,
+        progress=not as_json,
     )
+    say = teller(as_json)
+    told: dict[float, dict[str, float | None]] = {h: {} for h in headings}
     errors = np.stack([found[name].values for name in found if str(name).startswith("error_m")])
     soon = np.stack([found[name].values for name in found if str(name).startswith("samples")])
     for h, error, count in zip(headings, errors, soon, strict=True):
         known = ~np.isnan(error)
         if not known.any():
-            typer.echo(f"heading {h:5.1f}  no track of {samples} samples lies on the map")
+            say(f"heading {h:5.1f}  no track of {samples} samples lies on the map")
             continue
         good = (2.0 * error <= tolerance_m) & known
+        told[h]["share_with_fix"] = float(good.sum() / known.sum())
         text = f"heading {h:5.1f}  a fix on {good.sum() / known.sum():.0%} of the map"
         if good.any():
-            minutes = float(np.nanmedian(count[good])) * interval / 60.0
-            text += f", there {np.median(error[good]):.0f} m (median) after {minutes:.1f} min (median)"
-        typer.echo(text)
+            seconds, median = float(np.nanmedian(count[good])) * interval, float(np.median(error[good]))
+            told[h] |= {"median_error_m": median, "median_time_s": seconds}
+            text += f", there {median:.0f} m (median) after {seconds / 60.0:.1f} min (median)"
+        say(text)
     if flights:
         from geomag.calibration import suitability as simulate
 
         over = simulate(
             grid, spacing_m=speed * interval, half_width_m=half_width_m, tolerance_m=tolerance_m, sigma=sigma,
-            samples=samples, headings_deg=tuple(headings), places=12, flights=flights, progress=True,
+            samples=samples, headings_deg=tuple(headings), places=12, flights=flights, progress=not as_json,
         )  # fmt: skip
         for k, h in enumerate(over.heading_deg):
             share = over.fix_probability[k][np.isfinite(over.fix_probability[k])]
-            told = (
+            told[h]["share_of_flights_fixed"] = float(share.mean()) if share.size else None
+            text = (
                 f"{share.mean():.0%} of simulated flights are fixed" if share.size else "no simulated flight on the map"
             )
-            typer.echo(f"heading {h:5.1f}  {told}")
+            say(f"heading {h:5.1f}  {text}")
         if out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)
             over.to_netcdf(out.with_name(out.stem + "_flights" + out.suffix))
@@ -98,4 +106,7 @@ def suitability(
             label="least standard deviation (m), worst heading", title=f"{samples} samples, {speed * interval:g} m apart",
         )  # fmt: skip
         save(ax.figure, plot)  # type: ignore[arg-type]
+    if as_json:
+        rows = [{"heading_deg": h, **facts} for h, facts in told.items()]
+        typer.echo(json.dumps(jsonable({"headings": rows, "out": out and str(out), "plot": plot and str(plot)})))
     return 0

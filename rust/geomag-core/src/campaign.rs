@@ -39,6 +39,7 @@ use crate::matching::contour::{ContourOptions, match_contour};
 use crate::matching::grid_search::{GridSearch, match_grid};
 use crate::matching::iema::{Iema, IemaOptions};
 use crate::matching::posterior::{PosteriorOptions, match_posterior};
+use crate::matching::similarity::Criterion;
 use crate::monitor::{Monitor, Quiet};
 use crate::synthetic::{Flight, InsSpread, Leg, Path, Random, SensorModel, fly};
 use crate::track::Track;
@@ -113,6 +114,17 @@ pub enum Method {
     Iema(IemaOptions),
     /// Grid search over the whole track.
     Grid(GridSearch),
+    /// Grid search with the Hausdorff measure, whose scales are those of each track where they are not given.
+    Hausdorff {
+        /// Along-track metres that count as one.
+        length_scale_m: Option<f64>,
+        /// Value difference that counts as one.
+        value_scale: Option<f64>,
+        /// Quantile of the point-to-set distances.
+        fraction: f64,
+        /// The search; its criterion is replaced.
+        search: GridSearch,
+    },
     /// Calibrated matching over the whole track.
     Posterior {
         /// Standard deviation of a reading, where it is known.
@@ -143,6 +155,10 @@ impl Method {
                 Ok((fix, at))
             }
             Self::Grid(search) => Ok((match_grid(&**map, track, search, &Quiet)?, last)),
+            Self::Hausdorff { length_scale_m, value_scale, fraction, search } => {
+                let criterion = Criterion::hausdorff(track, map.geographic(), *length_scale_m, *value_scale, *fraction);
+                Ok((match_grid(&**map, track, &GridSearch { criterion, ..search.clone() }, &Quiet)?, last))
+            }
             Self::Posterior { sigma, options } => Ok((match_posterior(&**map, track, *sigma, options)?, last)),
             Self::Contour { sigma, options } => Ok((match_contour(map, track, *sigma, options)?, last)),
         }
@@ -331,7 +347,6 @@ pub fn run(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::similarity::Criterion;
     use crate::synthetic::{CrustSpec, PositionSpread};
 
     fn map() -> Arc<GridMap> {

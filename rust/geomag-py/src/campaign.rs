@@ -60,6 +60,14 @@ fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDi
             let defaults = GridSearch::new(Criterion::Msd, [0.0; 2]);
             Ok(Method::Grid(overlay("method grid", &defaults, &settings("method grid", json)?)?))
         }
+        "hausdorff" => {
+            let mut given: Value = settings("method grid", json)?;
+            let mut take = |name: &str| given.as_object_mut().and_then(|o| o.remove(name)).and_then(|v| v.as_f64());
+            let (length_scale_m, value_scale) = (take("length_scale_m"), take("value_scale"));
+            let fraction = take("fraction").unwrap_or(1.0);
+            let search = overlay("method grid", &GridSearch::new(Criterion::Msd, [0.0; 2]), &given)?;
+            Ok(Method::Hausdorff { length_scale_m, value_scale, fraction, search })
+        }
         "contour" => {
             let rest = options.copy()?;
             if rest.contains("sigma")? {
@@ -73,7 +81,7 @@ fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDi
             let options_in_force = overlay("method posterior", &PosteriorOptions::new([0.0; 2]), &given)?;
             Ok(Method::Posterior { sigma: sigma(options)?, options: options_in_force })
         }
-        other => Err(invalid("method", "'iema', 'grid', 'posterior' or 'contour'", format!("'{other}'"))),
+        other => Err(invalid("method", "'iema', 'grid', 'hausdorff', 'posterior' or 'contour'", format!("'{other}'"))),
     }
 }
 

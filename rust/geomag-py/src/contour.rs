@@ -289,6 +289,8 @@ type OtherChannel<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, f64);
 /// ------
 /// InvalidInputError, TooFewSamplesError, RankDeficientError, CandidateLimitError
 ///
+/// Notes
+/// -----
 /// Source: Kamgar-Parsi 1999; Bai and Wang, Computer Simulation 30(6), 2013; Duan, Xiao, Qi, J. Astronautics 2018(2).
 ///
 /// Examples
@@ -362,6 +364,8 @@ pub fn py_match_contour(
 ///     As for `match_contour` (transform, radius_m, refine, priors, ...); `starts` is for the first window, and after a
 ///     loss.
 ///
+/// Notes
+/// -----
 /// Source: Bai and Wang, Computer Simulation 30(6), 2013. The weights printed there are illegible; these are ours.
 ///
 /// Examples

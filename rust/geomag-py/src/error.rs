@@ -46,6 +46,12 @@ pub fn invalid(what: &str, needed: &str, got: impl ToString) -> PyError {
     Error::invalid(what, needed, got).into()
 }
 
+/// A file that cannot be read or written.
+pub fn file_error(path: &std::path::Path, error: &std::io::Error) -> PyError {
+    let name = if error.kind() == std::io::ErrorKind::NotFound { "MissingFileError" } else { "ReadError" };
+    Python::attach(|py| raise(py, name, &format!("{}: {error}", path.display()))).into()
+}
+
 fn raise(py: Python<'_>, name: &str, message: &str) -> PyErr {
     static MODULE: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
     let class = MODULE

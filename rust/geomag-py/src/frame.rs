@@ -22,6 +22,8 @@ use crate::error::{PyRes, invalid};
 /// radius_m : float
 ///     Radius of the sphere, metres; the geomagnetic reference radius by default.
 ///
+/// Notes
+/// -----
 /// Arrays of any shape broadcast. Forward and inverse undo each other to nanometres. On the sphere the coordinates are
 /// those of Zhao et al. (2012), corrected.
 ///

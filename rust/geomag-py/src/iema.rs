@@ -111,6 +111,8 @@ impl PyIemaStep {
 /// max_candidates : int
 ///     A larger lattice is refused before memory is taken.
 ///
+/// Notes
+/// -----
 /// Source: Huang, Sun, Wang, Liu, Gao, J. Nanjing Univ. Aeronautics & Astronautics 44(4), 2012, 565-569.
 ///
 /// Examples

@@ -119,6 +119,8 @@ impl PyFeedbackStep {
 /// gate_probability : float
 ///     Share of good fixes that the gate lets through.
 ///
+/// Notes
+/// -----
 /// Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, chapters 3 and 14,
 /// reduced to the horizontal plane.
 ///

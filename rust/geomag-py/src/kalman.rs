@@ -102,6 +102,8 @@ impl<'py> Model<'py> {
 ///     Spread of the sigma points and weight of the centre. alpha = 1 suits fields that bend within the position error;
 ///     1e-3 samples the slope at one point.
 ///
+/// Notes
+/// -----
 /// `predict(f, Q)` and `update(z, h, R)` take a callable `state -> array`, a matrix for linear models, or (as h) a
 /// `FieldSensor`, which is read without Python. Q and R may be given whole, as a diagonal or as one number, and may be
 /// singular. Carried as a Cholesky factor that is turned by orthogonal transformations: for beta >= alpha**2 the

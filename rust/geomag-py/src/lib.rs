@@ -12,6 +12,10 @@
 use geomag_core::state;
 use pyo3::prelude::*;
 
+/// A filter's step is a few dozen small matrices: the system's allocator would be a quarter of it.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 mod arrays;
 mod campaign;
 mod contour;

@@ -32,6 +32,8 @@ use crate::harmonic::{PyHarmonicModel, main_vector, quantity};
 /// interpolation : {'bicubic', 'bilinear'}
 ///     How a grid is read.
 ///
+/// Notes
+/// -----
 /// Callable with a state that begins with x, y; `UnscentedKalmanFilter.update` takes it as h and reads it natively.
 #[pyclass(frozen, name = "FieldSensor", module = "geomag")]
 pub struct PyFieldSensor {
@@ -243,6 +245,8 @@ impl PyNavigatorStep {
 /// reading, main_field, down_m, height_m, interpolation
 ///     As in `FieldSensor`.
 ///
+/// Notes
+/// -----
 /// For a slow vehicle in a field steep enough for its sensor; `bound` says beforehand what can be reached. Not for a start
 /// that is uncertain by more than a fraction of the field's wavelength: take a matcher first.
 ///

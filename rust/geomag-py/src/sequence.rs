@@ -232,6 +232,8 @@ fn setting_dict<'py>(py: Python<'py>, s: &Setting) -> PyRes<Bound<'py, PyDict>> 
 ///     length, quantum, objective, error_m, cost, failures of the best setting; settings (all that were evaluated);
 ///     max_length; iterations.
 ///
+/// Notes
+/// -----
 /// Source: Duan, Xiao, Qi, J. Astronautics 2018(2).
 ///
 /// Examples

@@ -1,5 +1,7 @@
 //! The basis of the rectangular harmonic expansion: which coefficients there are, in what order, and their fields.
 
+use crate::error::{Result, require_not_negative, require_positive};
+
 /// Order in `t` and `r`, and which of cosine and sine each factor is, of one coefficient.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Term {
@@ -11,6 +13,40 @@ pub struct Term {
     pub sine_x: bool,
     /// Whether the factor along y is a sine.
     pub sine_y: bool,
+}
+
+/// What is expected of the field before it is observed: how the variances of the coefficients fall with wave number.
+///
+/// A coefficient of wave number u (and unit root mean square field over the observations) is given the prior variance
+/// `(u / u0)^-power exp(-2 u damping_m)` over the ridge, u0 being the lowest wave number. Sources whose magnetisation is
+/// self-similar have power spectra that are such a power of the wave number, times the continuation from the level of
+/// their tops (Maus and Dimri 1994, doi 10.1029/94GL00771; Naidu 1968 for the exponential). The default treats all alike,
+/// which suits observations that are dense in both directions; lines further apart than half the shortest wavelength need
+/// a prior: alike, short waves that happen to vanish between the lines are as good as long ones that do not.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prior {
+    /// Level of the sources below the observations, metres.
+    pub damping_m: f64,
+    /// Power of the wave number by which the variances fall; 3 to 4 for crustal anomalies.
+    pub power: f64,
+    /// Ratio by which wave numbers along north count more and those along east count less: above 1 for features that are
+    /// longer to the north, as under a north-south strike.
+    pub anisotropy: f64,
+}
+
+impl Default for Prior {
+    fn default() -> Self {
+        Self { damping_m: 0.0, power: 0.0, anisotropy: 1.0 }
+    }
+}
+
+impl Prior {
+    pub(crate) fn validate(self) -> Result<()> {
+        require_not_negative("damping_m", self.damping_m)?;
+        require_not_negative("spectrum power", self.power)?;
+        require_positive("anisotropy", self.anisotropy)?;
+        Ok(())
+    }
 }
 
 /// Number of coefficients of an expansion of order `order`: `3 + 2 N (N + 1)`.
@@ -73,12 +109,16 @@ impl Basis {
         coefficient_count(self.order)
     }
 
-    /// `exp(2 u depth)` for every coefficient, 1 for the uniform field; bounded, as beyond it a coefficient is nil anyhow.
-    pub(crate) fn damping(&self, depth_m: f64) -> Vec<f64> {
+    /// The share of the ridge that each coefficient gets under a prior: 1 for the uniform field; bounded, as beyond it a
+    /// coefficient is nil anyhow.
+    pub(crate) fn damping(&self, prior: Prior) -> Vec<f64> {
         const LARGEST: f64 = 60.0;
+        let lowest = self.wave[0].min(self.wave[1]);
         let harmonic = terms(self.order).map(|term| {
-            let u = (term.t as f64 * self.wave[0]).hypot(term.r as f64 * self.wave[1]);
-            (2.0 * u * depth_m).min(LARGEST).exp()
+            let along = term.t as f64 * self.wave[0] * prior.anisotropy;
+            let across = term.r as f64 * self.wave[1] / prior.anisotropy;
+            let u = along.hypot(across);
+            (prior.power * (u / lowest).ln() + 2.0 * u * prior.damping_m).min(LARGEST).exp()
         });
         [1.0; 3].into_iter().chain(harmonic).collect()
     }
@@ -131,6 +171,22 @@ mod tests {
         }
         assert!(terms(5).zip(terms(9)).all(|(a, b)| a == b));
         assert!(terms(6).all(|t| (t.t > 0 || !t.sine_x) && (t.r > 0 || !t.sine_y) && t.t + t.r <= 6));
+    }
+
+    #[test]
+    fn priors_are_their_closed_form() {
+        let basis = Basis::new(3, [6e3, 4e3]);
+        let prior = Prior { damping_m: 150.0, power: 3.0, anisotropy: 1.25 };
+        let (v, w) = (std::f64::consts::TAU / 6e3, std::f64::consts::TAU / 4e3);
+        let weights = basis.damping(prior);
+        assert_eq!(weights[..3], [1.0; 3]);
+        for (term, weight) in terms(3).zip(&weights[3..]) {
+            let u = (term.t as f64 * v * 1.25).hypot(term.r as f64 * w / 1.25);
+            let expected = (u / v).powi(3) * (2.0 * u * 150.0).exp();
+            assert!((weight - expected).abs() < 1e-12 * expected, "{term:?}");
+        }
+        assert!(basis.damping(Prior::default()).iter().all(|&w| w == 1.0));
+        assert!(basis.damping(Prior { damping_m: 1e9, ..prior })[5].is_finite());
     }
 
     #[test]

@@ -227,7 +227,8 @@ impl RectangularHarmonicModel {
     /// Standard deviation of the modelled field along a direction (north, east, down; one for all points or one a
     /// point), from the covariance of the coefficients; NaN outside the region unless `extrapolate`.
     ///
-    /// The error of the fit, not that of what the order leaves out.
+    /// The error of the fit, and where the model was told of it what the order leaves out (see
+    /// [`Misfit`](super::Misfit)).
     ///
     /// # Errors
     /// [`Error::Invalid`] where the model has no covariance, [`Error::Shape`] for another number of directions.
@@ -288,7 +289,7 @@ impl RectangularHarmonicModel {
             for (k, sigma) in out.iter_mut().enumerate() {
                 // Rounding may leave a variance of zero just below it.
                 let variance = spread.column(k).dot(&design.column(k));
-                *sigma = if variance.is_nan() { f64::NAN } else { variance.max(0.0).sqrt() };
+                *sigma = if variance.is_nan() { f64::NAN } else { self.misfit().sigma(variance.max(0.0).sqrt()) };
             }
         });
         Ok(out)

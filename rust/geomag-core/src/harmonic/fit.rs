@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 
-use super::basis::{Basis, coefficient_count};
+use super::basis::{Basis, Prior, coefficient_count};
 use super::evaluate::norm;
 use super::normal::{LinearRow, Progress, solve_refined};
 use super::observations::{Observations, Sensed};
@@ -39,11 +39,8 @@ pub struct FitOptions {
     pub period: Period,
     /// Ridge or truncated singular values.
     pub regularisation: Regularisation,
-    /// Level below the observations, metres, at which all wavelengths are expected to be equally strong: the ridge of a
-    /// coefficient is multiplied by `exp(2 u damping_m)`. Zero treats all alike, which suits observations that are dense
-    /// in both directions. Lines that lie further apart than half the shortest wavelength need one or two spacings:
-    /// alike, short waves that happen to vanish between the lines are as good as long ones that do not.
-    pub damping_m: f64,
+    /// How the ridge is shared among the coefficients.
+    pub prior: Prior,
     /// Huber's bound in standard deviations of the residuals (1.345 is usual): larger residuals count linearly.
     pub huber: Option<f64>,
     /// Most iterations of the robust and of the Gauss-Newton steps.
@@ -62,7 +59,7 @@ impl Default for FitOptions {
             order: 12,
             period: Period::Ratio(1.5),
             regularisation: Regularisation::Ridge(1e-9),
-            damping_m: 0.0,
+            prior: Prior::default(),
             huber: None,
             max_iterations: 20,
             covariance: true,
@@ -116,7 +113,7 @@ pub struct FitSummary {
 /// ```
 ///
 /// # Errors
-/// [`Error::TooFewSamples`] for fewer numbers than coefficients, [`Error::Invalid`] for options out of range or
+/// [`Error::TooFewSamples`] for fewer numbers than coefficients (unless there is a [`Prior`]), [`Error::Invalid`] for options out of range or
 /// observations without extent, [`Error::RankDeficient`] where the observations do not decide the coefficients and no
 /// ridge does, [`Error::Interrupted`].
 pub fn fit(
@@ -155,7 +152,7 @@ impl Prepared {
             return Err(Error::invalid("order", format!("at most {MAX_FIT_ORDER} in a fit"), options.order));
         }
         options.regularisation.validate()?;
-        crate::error::require_not_negative("damping_m", options.damping_m)?;
+        options.prior.validate()?;
         if let Some(bound) = options.huber {
             crate::error::require_positive("huber", bound)?;
         }
@@ -163,7 +160,9 @@ impl Prepared {
             return Err(Error::invalid("max_iterations", "at least 1", 0));
         }
         let needed = coefficient_count(options.order);
-        if observations.len() < needed {
+        // A prior that says which waves to expect decides what the observations do not.
+        let told = options.prior.power > 0.0 || options.prior.damping_m > 0.0;
+        if observations.len() < if told { 1 } else { needed } {
             return Err(Error::TooFewSamples {
                 what: format!("harmonic fit of order {}", options.order),
                 needed,
@@ -191,7 +190,7 @@ impl Prepared {
         // Refuses periods and levels that no model can have before any work is done.
         RectangularHarmonicModel::new(options.order, periods_m, vec![0.0; needed], region)?;
         let basis = Basis::new(options.order, periods_m);
-        Ok(Self { damping: basis.damping(options.damping_m), basis, periods_m, region })
+        Ok(Self { damping: basis.damping(options.prior), basis, periods_m, region })
     }
 
     fn iterate(

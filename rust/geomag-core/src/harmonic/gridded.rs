@@ -84,7 +84,6 @@ impl RectangularHarmonicModel {
 /// numbers, `[tile][2 t + (cosine, sine)][number]`, number = 3 column + component.
 fn along_east(packed: &Packed, east_m: &[f64], down_m: f64) -> Vec<f64> {
     let order = packed.order;
-    let [v, w] = packed.wave;
     let inner = 2 * (order + 1);
     let tile_count = (east_m.len() * 3).div_ceil(TILE);
     let mut tiles = vec![0.0; tile_count * inner * TILE];
@@ -93,43 +92,77 @@ fn along_east(packed: &Packed, east_m: &[f64], down_m: f64) -> Vec<f64> {
         for r in 0..=order - t {
             let [u, d, e, f, g] = packed.pair(t, r);
             let level = (u * down_m).exp();
-            levelled.push([u, r as f64 * w, d * level, e * level, f * level, g * level]);
+            levelled.push([u, r as f64 * packed.wave[1], d * level, e * level, f * level, g * level]);
         }
     }
-    let (mut cosines, mut sines) = (Vec::new(), Vec::new());
-    for (j, &y) in east_m.iter().enumerate() {
-        harmonics(w * y, order, &mut cosines, &mut sines);
-        let mut rest = levelled.as_slice();
+    // As many columns as a tile has numbers fill three tiles.
+    tiles
+        .par_chunks_mut(3 * inner * TILE)
+        .zip(east_m.par_chunks(TILE))
+        .for_each(|(tiles, east_m)| pulp::Arch::new().dispatch(Columns { packed, levelled: &levelled, east_m, tiles }));
+    tiles
+}
+
+/// The factors of up to [`TILE`] columns, side by side.
+struct Columns<'a> {
+    packed: &'a Packed,
+    /// Wave numbers u and along y, and the four coefficients at the level, in the order of the loop.
+    levelled: &'a [[f64; 6]],
+    east_m: &'a [f64],
+    tiles: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Columns<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let order = self.packed.order;
+        let [v, w] = self.packed.wave;
+        let inner = 2 * (order + 1);
+        let (mut cosines, mut sines) = (vec![[0.0; TILE]; order + 1], vec![[0.0; TILE]; order + 1]);
+        let (mut s1, mut c1) = ([0.0; TILE], [1.0; TILE]);
+        for (l, &y) in self.east_m.iter().enumerate() {
+            (s1[l], c1[l]) = (w * y).sin_cos();
+        }
+        let (mut c, mut s) = ([1.0; TILE], [0.0; TILE]);
+        for (cosine, sine) in cosines.iter_mut().zip(&mut sines) {
+            (*cosine, *sine) = (c, s);
+            for l in 0..TILE {
+                (c[l], s[l]) = (c[l] * c1[l] - s[l] * s1[l], s[l] * c1[l] + c[l] * s1[l]);
+            }
+        }
+        let mut rest = self.levelled;
         for t in 0..=order {
             let (row, after) = rest.split_at(order - t + 1);
             rest = after;
             // Sums of P, u P and dP/dy over r: factors of the cosine and of the sine along x.
-            let (mut p, mut up, mut py) = ([0.0; 2], [0.0; 2], [0.0; 2]);
+            let [mut p, mut q, mut up, mut uq, mut py, mut qy] = [[0.0; TILE]; 6];
             for ([u, rw, d, e, f, g], (c, s)) in row.iter().zip(cosines.iter().zip(&sines)) {
-                let (a, b) = (d * c + e * s, f * c + g * s);
-                p[0] += a;
-                p[1] += b;
-                up[0] += u * a;
-                up[1] += u * b;
-                py[0] += rw * (e * c - d * s);
-                py[1] += rw * (g * c - f * s);
-            }
-            let tv = t as f64 * v;
-            let mut factors = [[-tv * p[1], -py[0], -up[0]], [tv * p[0], -py[1], -up[1]]];
-            if t == 0 {
-                for (factor, constant) in factors[0].iter_mut().zip(packed.linear) {
-                    *factor -= constant;
+                for l in 0..TILE {
+                    let (a, b) = (d * c[l] + e * s[l], f * c[l] + g * s[l]);
+                    p[l] += a;
+                    q[l] += b;
+                    up[l] += u * a;
+                    uq[l] += u * b;
+                    py[l] += rw * (e * c[l] - d * s[l]);
+                    qy[l] += rw * (g * c[l] - f * s[l]);
                 }
             }
-            for (k, factors) in factors.iter().enumerate() {
-                for (c, factor) in factors.iter().enumerate() {
-                    let number = 3 * j + c;
-                    tiles[((number / TILE) * inner + 2 * t + k) * TILE + number % TILE] = *factor;
+            let tv = t as f64 * v;
+            let constant = if t == 0 { self.packed.linear } else { [0.0; 3] };
+            for l in 0..self.east_m.len() {
+                let even = [-tv * q[l] - constant[0], -py[l] - constant[1], -up[l] - constant[2]];
+                let odd = [tv * p[l], -qy[l], -uq[l]];
+                for (k, factors) in [even, odd].iter().enumerate() {
+                    for (component, factor) in factors.iter().enumerate() {
+                        let number = 3 * l + component;
+                        self.tiles[((number / TILE) * inner + 2 * t + k) * TILE + number % TILE] = *factor;
+                    }
                 }
             }
         }
     }
-    tiles
 }
 
 /// Cosines and sines along north, `[row][2 t + (cosine, sine)]`.

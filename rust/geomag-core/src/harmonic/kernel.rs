@@ -62,6 +62,16 @@ impl Packed {
         packed
     }
 
+    /// The same field seen from a level: evaluated at zero it gives what this gives there.
+    pub(super) fn seen_from(&self, down_m: f64) -> Self {
+        let mut out = self.clone();
+        for p in &mut out.pairs {
+            let level = (p.u * down_m).exp();
+            *p = Pair { u: p.u, d: p.d * level, e: p.e * level, f: p.f * level, g: p.g * level };
+        }
+        out
+    }
+
     /// Wave number and coefficients `[u, D, E, F, G]` of a pair.
     pub(super) fn pair(&self, t: usize, r: usize) -> [f64; 5] {
         let p = &self.pairs[pair_index(self.order, t, r)];
@@ -102,7 +112,12 @@ impl<const GRADIENT: bool, const B: usize> pulp::WithSimd for Run<'_, GRADIENT, 
                 largest(&self.points[0][first..end]) * self.packed.wave[0],
                 largest(&self.points[1][first..end]) * self.packed.wave[1],
             ];
-            let values = vector::<S, GRADIENT>(simd, self.packed, points, angles, self.scratch);
+            // On the level of the frame itself every exponential is one.
+            let values = if self.points[2][first..end].iter().all(|&z| z == 0.0) {
+                vector::<S, GRADIENT, true>(simd, self.packed, points, angles, self.scratch)
+            } else {
+                vector::<S, GRADIENT, false>(simd, self.packed, points, angles, self.scratch)
+            };
             let rows = if GRADIENT { 10 } else { 4 };
             for (row, value) in self.out.iter_mut().zip(values).take(rows) {
                 simd.partial_store_f64s(&mut row[first..end], value);
@@ -117,7 +132,7 @@ fn largest(values: &[f64]) -> f64 {
 
 /// One vector of points. `scratch` holds the cosines and sines along y.
 #[inline(always)]
-fn vector<S: Simd, const GRADIENT: bool>(
+fn vector<S: Simd, const GRADIENT: bool, const FLAT: bool>(
     simd: S,
     packed: &Packed,
     points: [S::f64s; 3],
@@ -155,9 +170,11 @@ fn vector<S: Simd, const GRADIENT: bool>(
         let mut rw = 0.0;
         for (pair, table) in row.iter().zip(tables.chunks_exact(2)) {
             let [u, d, e, f, g] = [pair.u, pair.d, pair.e, pair.f, pair.g].map(|c| simd.splat_f64s(c));
-            let level = exp(simd, mul(u, points[2]));
-            let c = mul(table[0], level);
-            let s = mul(table[1], level);
+            let [mut c, mut s] = [table[0], table[1]];
+            if !FLAT {
+                let level = exp(simd, mul(u, points[2]));
+                (c, s) = (mul(c, level), mul(s, level));
+            }
             // The factors of the cosine and of the sine along x.
             let p = madd(e, s, mul(d, c));
             let q = madd(g, s, mul(f, c));

@@ -16,17 +16,19 @@ mod fit;
 mod gridded;
 mod kernel;
 mod map;
+mod misfit;
 mod normal;
 mod observations;
 mod select;
 
 use serde::{Deserialize, Serialize};
 
-pub use basis::{Term, coefficient_count, terms};
+pub use basis::{Prior, Term, coefficient_count, terms};
 pub use evaluate::{Evaluation, Positions};
 pub use fit::{FitOptions, FitSummary, Period, Regularisation, fit};
 pub(crate) use map::Level;
 pub use map::{HarmonicMap, Quantity};
+pub use misfit::{Left, Misfit, leave_out};
 pub use observations::Observations;
 pub use select::{Candidate, Selection, SelectionOptions, select};
 
@@ -83,6 +85,7 @@ pub struct RectangularHarmonicModel {
     unit: String,
     covariance: Option<Covariance>,
     summary: Option<FitSummary>,
+    misfit: Misfit,
     packed: kernel::Packed,
 }
 
@@ -128,6 +131,7 @@ impl RectangularHarmonicModel {
             unit: "nT".into(),
             covariance: None,
             summary: None,
+            misfit: Misfit::default(),
             packed,
         })
     }
@@ -165,6 +169,24 @@ impl RectangularHarmonicModel {
         let lower = (0..n).flat_map(|i| covariance[i * n..=i * n + i].iter().copied()).collect();
         self.covariance = Some(Covariance::new(lower, n)?);
         Ok(self)
+    }
+
+    /// The same model with another account of its errors (see [`Misfit`]).
+    #[must_use]
+    pub fn with_misfit(mut self, misfit: Misfit) -> Self {
+        self.misfit = misfit;
+        self
+    }
+
+    /// The same field with zero at a level: all points on that plane are then the cheap ones. The coefficients as they are
+    /// told are not changed, nor is the region.
+    pub(crate) fn seen_from(&self, down_m: f64) -> Self {
+        Self { packed: self.packed.seen_from(down_m), ..self.clone().without_covariance() }
+    }
+
+    /// What its sigma is made of besides the covariance of the coefficients.
+    pub fn misfit(&self) -> Misfit {
+        self.misfit
     }
 
     /// Order N.
@@ -244,6 +266,7 @@ impl RectangularHarmonicModel {
             coefficients: self.coefficients.clone(),
             covariance_lower: self.covariance.as_ref().map(|c| c.lower.clone()),
             fit: self.summary.clone(),
+            misfit: Some(self.misfit),
         };
         serde_json::to_string(&saved).map_err(|e| state_error(&e))
     }
@@ -266,6 +289,8 @@ impl RectangularHarmonicModel {
         model.covariance =
             saved.covariance_lower.map(|lower| Covariance::new(lower, model.coefficients.len())).transpose()?;
         model.summary = saved.fit;
+        model.misfit = saved.misfit.unwrap_or_default();
+        model.misfit.validate()?;
         Ok(model)
     }
 }
@@ -286,6 +311,8 @@ struct Saved {
     coefficients: Vec<f64>,
     covariance_lower: Option<Vec<f64>>,
     fit: Option<FitSummary>,
+    #[serde(default)]
+    misfit: Option<Misfit>,
 }
 
 fn state_error(detail: &impl ToString) -> Error {

@@ -23,7 +23,7 @@ const REFINEMENTS: usize = 2;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Regularisation {
     /// `(A'A + ridge W) c = A'b`; zero for plain least squares. W is the identity, or grows with the wave number (see
-    /// [`FitOptions::damping_m`](super::FitOptions::damping_m)).
+    /// [`Prior`](super::Prior)).
     Ridge(f64),
     /// Singular values below this share of the largest are left out. The normal equations resolve shares down to about
     /// 1e-7.

@@ -5,7 +5,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use super::basis::coefficient_count;
+use super::basis::{Prior, coefficient_count};
 use super::fit::{FitOptions, Period, Prepared, huber_weights, linear_rows, residuals};
 use super::normal::{LinearRow, Normal, Progress, Regularisation, Solver, for_each_block};
 use super::observations::{Observations, Sensed};
@@ -22,6 +22,8 @@ pub struct SelectionOptions {
     pub period_ratios: Vec<f64>,
     /// Ridges to try.
     pub ridges: Vec<f64>,
+    /// Priors to try.
+    pub priors: Vec<Prior>,
     /// Number of parts; each in turn is left out and predicted.
     pub folds: usize,
     /// One label a point (a flight line, say): points of one label are left out together. Without labels every point
@@ -40,6 +42,8 @@ pub struct Candidate {
     pub period_ratio: f64,
     /// Ridge.
     pub ridge: f64,
+    /// Prior.
+    pub prior: Prior,
     /// Root mean square of the weighted residuals of left-out observations.
     pub rms: f64,
     /// Standard error of `rms` over the parts.
@@ -55,11 +59,11 @@ pub struct Selection {
     pub best: usize,
 }
 
-/// Cross-validates orders, period ratios and ridges.
+/// Cross-validates orders, period ratios, ridges and priors.
 ///
 /// One pass over the observations per part and period builds the normal equations of the highest order, of which those of
 /// lower orders are leading parts; a second pass predicts what was left out. Intensities and Huber's weights are taken
-/// about one fit of the highest order with the first period and ridge; `options` gives `huber` and `max_iterations`.
+/// about one fit of the highest order with the first period, ridge and prior; `options` gives `huber` and `max_iterations`.
 ///
 /// # Errors
 /// As [`fit`](super::fit); [`Error::Invalid`] for empty lists, fewer than two parts or fewer labels than parts;
@@ -70,16 +74,20 @@ pub fn select(
     options: &FitOptions,
     monitor: &dyn Monitor,
 ) -> Result<Selection> {
-    let (Some(&highest), Some(&ratio), Some(&ridge)) =
-        (choice.orders.iter().max(), choice.period_ratios.first(), choice.ridges.first())
+    let (Some(&highest), Some(&ratio), Some(&ridge), Some(&prior)) =
+        (choice.orders.iter().max(), choice.period_ratios.first(), choice.ridges.first(), choice.priors.first())
     else {
-        return Err(Error::invalid("orders, period_ratios, ridges", "at least one of each", "an empty list"));
+        return Err(Error::invalid("orders, period_ratios, ridges, priors", "at least one of each", "an empty list"));
     };
-    let fold_of_point = deal(observations.point_count(), choice)?;
+    for prior in &choice.priors {
+        prior.validate()?;
+    }
+    let fold_of_point = deal(observations.point_count(), choice.folds, choice.groups.as_deref(), choice.seed)?;
     let base = FitOptions {
         order: highest,
         period: Period::Ratio(ratio),
         regularisation: Regularisation::Ridge(ridge),
+        prior,
         covariance: false,
         ..options.clone()
     };
@@ -119,20 +127,25 @@ pub fn select(
             whole.gram += &normal.gram;
             whole.right += &normal.right;
         }
-        let choices: Vec<(usize, f64)> =
-            choice.orders.iter().flat_map(|&n| choice.ridges.iter().map(move |&r| (n, r))).collect();
+        let dampings: Vec<Vec<f64>> = choice.priors.iter().map(|&p| prepared.basis.damping(p)).collect();
+        let mut choices: Vec<(usize, f64, usize)> = Vec::new();
+        for &order in &choice.orders {
+            for &ridge in &choice.ridges {
+                choices.extend((0..dampings.len()).map(|prior| (order, ridge, prior)));
+            }
+        }
         let mut squares = vec![Vec::with_capacity(choice.folds); choices.len()];
         for (part, normal) in parts.iter().zip(&normals) {
             let training = Normal { gram: &whole.gram - &normal.gram, right: &whole.right - &normal.right };
-            let solutions = solve_all(&training, &choices, &prepared.damping)?;
+            let solutions = solve_all(&training, &choices, &dampings)?;
             let errors = left_out_errors(&prepared, part, &solutions, step(choice.folds))?;
             for (all, error) in squares.iter_mut().zip(errors) {
                 all.push((error, part.len()));
             }
         }
-        for (&(order, ridge), parts) in choices.iter().zip(&squares) {
+        for (&(order, ridge, prior), parts) in choices.iter().zip(&squares) {
             let (rms, rms_error) = summarise(parts);
-            candidates.push(Candidate { order, period_ratio, ridge, rms, rms_error });
+            candidates.push(Candidate { order, period_ratio, ridge, prior: choice.priors[prior], rms, rms_error });
         }
     }
     let best = (0..candidates.len()).fold(0, |best, k| if candidates[k].rms < candidates[best].rms { k } else { best });
@@ -140,13 +153,13 @@ pub fn select(
 }
 
 /// Part of every point.
-fn deal(points: usize, choice: &SelectionOptions) -> Result<Vec<usize>> {
-    if choice.folds < 2 {
-        return Err(Error::invalid("folds", "at least 2", choice.folds));
+pub(super) fn deal(points: usize, folds: usize, groups: Option<&[u64]>, seed: u64) -> Result<Vec<usize>> {
+    if folds < 2 {
+        return Err(Error::invalid("folds", "at least 2", folds));
     }
-    let labels: Vec<u64> = match &choice.groups {
+    let labels: Vec<u64> = match groups {
         None => (0..points as u64).collect(),
-        Some(groups) if groups.len() == points => groups.clone(),
+        Some(groups) if groups.len() == points => groups.to_vec(),
         Some(groups) => {
             return Err(Error::shape("groups", format!("({points},) as the points"), format!("({},)", groups.len())));
         }
@@ -154,11 +167,11 @@ fn deal(points: usize, choice: &SelectionOptions) -> Result<Vec<usize>> {
     let mut distinct = labels.clone();
     distinct.sort_unstable();
     distinct.dedup();
-    if distinct.len() < choice.folds {
-        return Err(Error::invalid("groups", format!("at least {} labels, one a part", choice.folds), distinct.len()));
+    if distinct.len() < folds {
+        return Err(Error::invalid("groups", format!("at least {folds} labels, one a part"), distinct.len()));
     }
-    let mut parts: Vec<usize> = (0..distinct.len()).map(|k| k % choice.folds).collect();
-    parts.shuffle(&mut rand_pcg::Pcg64::seed_from_u64(choice.seed));
+    let mut parts: Vec<usize> = (0..distinct.len()).map(|k| k % folds).collect();
+    parts.shuffle(&mut rand_pcg::Pcg64::seed_from_u64(seed));
     Ok(labels.iter().map(|l| parts[distinct.partition_point(|d| d < l)]).collect())
 }
 
@@ -181,12 +194,13 @@ fn reference_rows(observations: &Observations, base: &FitOptions, monitor: &dyn 
 }
 
 /// Coefficients of every choice, filled up with zeros to the highest order.
-fn solve_all(training: &Normal, choices: &[(usize, f64)], damping: &[f64]) -> Result<DMatrix<f64>> {
+fn solve_all(training: &Normal, choices: &[(usize, f64, usize)], dampings: &[Vec<f64>]) -> Result<DMatrix<f64>> {
     let solutions = choices
         .par_iter()
-        .map(|&(order, ridge)| {
+        .map(|&(order, ridge, prior)| {
             let leading = training.leading(coefficient_count(order));
-            let solution = Solver::new(leading.gram, Regularisation::Ridge(ridge), damping)?.solve(&leading.right);
+            let ridge = Regularisation::Ridge(ridge);
+            let solution = Solver::new(leading.gram, ridge, &dampings[prior])?.solve(&leading.right);
             Ok(solution.resize_vertically(training.right.len(), 0.0))
         })
         .collect::<Result<Vec<_>>>()?;

@@ -4,6 +4,7 @@ use approx::assert_relative_eq;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::basis::Basis;
 use super::*;
 use crate::field::Field;
 use crate::frame::Earth;
@@ -299,6 +300,7 @@ fn cross_validation_finds_the_order() {
         orders: vec![2, 3, 4, 6, 8],
         period_ratios: vec![model.periods_m()[0] / (2.0 * HALF)],
         ridges: vec![1e-9, 1e-6],
+        priors: vec![Prior::default()],
         folds: 5,
         groups: None,
         seed: 1,
@@ -400,7 +402,7 @@ fn damping_keeps_what_lies_between_lines() {
             order: 12,
             period: Period::Ratio(1.2),
             regularisation: Regularisation::Ridge(1e-6),
-            damping_m,
+            prior: Prior { damping_m, ..Prior::default() },
             ..FitOptions::default()
         };
         let model = fit(&observations, &options, &Quiet).unwrap();
@@ -410,4 +412,101 @@ fn damping_keeps_what_lies_between_lines() {
     };
     let (alike, damped) = (error(0.0), error(4e3));
     assert!(damped < 0.2 * alike, "{damped} {alike}");
+}
+
+/// Lines of a field drawn from the prior itself, with noise: a coefficient of unit prior field has variance one.
+fn drawn_from_the_prior(prior: Prior, noise: f64, seed: u64) -> (Observations, Vec<u64>) {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let mut normal = || -> f64 { rand_distr::Distribution::sample(&rand_distr::StandardNormal, &mut rng) };
+    let periods = [12e3, 12e3];
+    let weights = Basis::new(8, periods).damping(prior);
+    let mut coefficients = vec![0.0; 3];
+    for (term, weight) in terms(8).zip(&weights[3..]) {
+        let u = (term.t as f64).hypot(term.r as f64) * std::f64::consts::TAU / 12e3;
+        coefficients.push(100.0 * normal() / u / weight.sqrt());
+    }
+    let region = Region { north_m: [-5e3, 5e3], east_m: [-5e3, 5e3], down_m: [0.0, 0.0] };
+    let model = RectangularHarmonicModel::new(8, periods, coefficients, region).unwrap();
+    let (mut north, mut east, mut groups) = (Vec::new(), Vec::new(), Vec::new());
+    for line in 0..20_u32 {
+        for k in 0..60 {
+            north.push(-5e3 + 1e4 / 19.0 * f64::from(line));
+            east.push(-5e3 + 1e4 / 59.0 * f64::from(k));
+            groups.push(u64::from(line));
+        }
+    }
+    let down = vec![0.0; north.len()];
+    let positions = Positions::new(&north, &east, &down).unwrap();
+    let main = [[2.0, 1.0, 4.0]];
+    let values: Vec<f64> = (model.field(&positions, true).iter())
+        .map(|b| (2.0 * b[0] + b[1] + 4.0 * b[2]) / 21_f64.sqrt() + noise * normal())
+        .collect();
+    let mut observations = Observations::new();
+    observations.anomaly(&positions, &values, &main, &[]).unwrap();
+    (observations, groups)
+}
+
+#[test]
+fn the_prior_of_the_field_predicts_best_and_knows_how_well() {
+    let truth = Prior { damping_m: 100.0, power: 3.0, anisotropy: 1.4 };
+    let (observations, groups) = drawn_from_the_prior(truth, 2.0, 5);
+    // Columns are scaled to unit norm: of a product of two waves of unit field that is about a quarter of 1,200 rows.
+    let ridge = 2.0_f64.powi(2) / 100.0_f64.powi(2) / 300.0;
+    let others = [
+        Prior::default(),
+        Prior { anisotropy: 1.0 / 1.4, ..truth },
+        Prior { damping_m: 0.0, power: 0.5, anisotropy: 1.0 },
+        truth,
+    ];
+    let choice = SelectionOptions {
+        orders: vec![8],
+        period_ratios: vec![1.2],
+        ridges: vec![ridge],
+        priors: others.to_vec(),
+        folds: 5,
+        groups: Some(groups.clone()),
+        seed: 3,
+    };
+    let found = select(&observations, &choice, &FitOptions::default(), &Quiet).unwrap();
+    assert_eq!(found.candidates[found.best].prior, truth, "{found:?}");
+
+    let options = FitOptions {
+        order: 8,
+        period: Period::Ratio(1.2),
+        regularisation: Regularisation::Ridge(ridge),
+        prior: truth,
+        ..FitOptions::default()
+    };
+    let (mut scaled, mut plain, mut count) = (0.0, 0.0, 0.0);
+    for seed in 0..20 {
+        let (observations, groups) = drawn_from_the_prior(truth, 2.0, 100 + seed);
+        let left = leave_out(&observations, &options, 5, Some(&groups), 1, &Quiet).unwrap();
+        for (e, s) in left.errors.iter().zip(&left.sigma) {
+            // An observation has its noise, a prediction has not.
+            plain += e * e / (s * s + 4.0);
+            scaled += (e / left.misfit.sigma(*s)).powi(2);
+            count += 1.0;
+        }
+    }
+    // 20 draws of some hundred degrees of freedom left open each.
+    assert!((plain / count - 1.0).abs() < 0.15, "{}", plain / count);
+    assert!((scaled / count - 1.0).abs() < 1e-6, "{}", scaled / count);
+}
+
+#[test]
+fn a_models_misfit_is_in_its_sigma_and_in_its_file() {
+    let (observations, _) = drawn_from_the_prior(Prior::default(), 2.0, 9);
+    let options = FitOptions { order: 6, ..FitOptions::default() };
+    let model = fit(&observations, &options, &Quiet).unwrap();
+    let positions = Positions::new(&[100.0], &[-300.0], &[0.0]).unwrap();
+    let bare = model.sigma_along(&positions, &[[0.0, 0.0, 1.0]], false).unwrap()[0];
+    let told = model.with_misfit(Misfit { nugget: 3.0, scale: 2.0 });
+    let more = told.sigma_along(&positions, &[[0.0, 0.0, 1.0]], false).unwrap()[0];
+    assert_relative_eq!(more, 3.0_f64.hypot(2.0 * bare), max_relative = 1e-12);
+    let text = told.to_json().unwrap();
+    assert_eq!(RectangularHarmonicModel::from_json(&text).unwrap(), told);
+    let old = text.replace(r#","misfit":{"nugget":3.0,"scale":2.0}"#, "");
+    assert_ne!(old, text);
+    assert_eq!(RectangularHarmonicModel::from_json(&old).unwrap().misfit(), Misfit::default());
+    assert!(RectangularHarmonicModel::from_json(&text.replace("\"scale\":2.0", "\"scale\":-2.0")).is_err());
 }

@@ -115,6 +115,20 @@ impl Estimate {
         }
     }
 
+    /// Moves the mean and adds noise, given as the factor of its covariance: every filter's prediction for a motion that
+    /// moves all states alike.
+    pub(crate) fn drift(&mut self, by: &[f64], noise: &DMatrix<f64>) -> Result<()> {
+        let n = self.len();
+        let mut columns = DMatrix::zeros(n, 2 * n);
+        columns.as_mut_slice()[..n * n].copy_from_slice(self.factor.as_slice());
+        columns.as_mut_slice()[n * n..].copy_from_slice(noise.as_slice());
+        let mut mean = self.mean.clone();
+        for (m, b) in mean.iter_mut().zip(by) {
+            *m += b;
+        }
+        self.replace(mean, &columns)
+    }
+
     /// Takes a new mean and a covariance given as columns whose outer products add up to it.
     pub(super) fn replace(&mut self, mean: DVector<f64>, columns: &DMatrix<f64>) -> Result<()> {
         require_finite("predicted state", mean.as_slice())?;

@@ -538,6 +538,11 @@ impl FieldNavigator {
         let noise = self.process_noise(dt_s);
         let layout = self.state.layout;
         let course = course_deg.to_radians();
+        if layout.speed.is_none() && layout.heading.is_none() {
+            let (sin, cos) = course.sin_cos();
+            let away = [dt_s * speed_m_s * sin, dt_s * speed_m_s * cos];
+            return self.state.filter.estimate_mut().drift(&away, &noise);
+        }
         let motion = move |x: &[f64], out: &mut [f64]| {
             let speed = speed_m_s + layout.speed.map_or(0.0, |i| x[i]);
             let (sin, cos) = (course + layout.heading.map_or(0.0, |i| x[i])).sin_cos();

@@ -33,8 +33,17 @@ pub struct Sensing {
 
 #[derive(Debug, Clone)]
 enum Source {
-    Harmonic { model: Arc<RectangularHarmonicModel>, sensor: Sensor, level: Level },
-    Map { field: Arc<dyn Field>, interpolation: Interpolation },
+    Harmonic {
+        model: Arc<RectangularHarmonicModel>,
+        sensor: Sensor,
+        level: Level,
+        /// On a plane, the model with zero there, so that a filter pays for no exponential.
+        flat: Option<Arc<RectangularHarmonicModel>>,
+    },
+    Map {
+        field: Arc<dyn Field>,
+        interpolation: Interpolation,
+    },
 }
 
 impl Sensing {
@@ -70,7 +79,13 @@ impl Sensing {
             quantity.validate()?;
         }
         let shared = Arc::clone(&model);
-        let source = Source::Harmonic { model, sensor, level };
+        let flat = match level {
+            Level::Down(down) if model.region().down_m[0] <= down && model.contains(centre_of(&model, down)) => {
+                Some(Arc::new(model.seen_from(down)))
+            }
+            _ => None,
+        };
+        let source = Source::Harmonic { model, sensor, level, flat };
         let mut sensing = Self { source, sigma: Vec::new(), largest_sigma: Vec::new() };
         if shared.has_covariance() {
             sensing.sigma = sensing.sigma_maps(&shared, level)?;
@@ -144,12 +159,16 @@ impl Sensing {
                     };
                 }
             }
-            Source::Harmonic { model, sensor, level } => {
+            Source::Harmonic { model, sensor, level, flat } => {
                 let n = places.len();
                 let mut axes = vec![0.0; 3 * n];
                 for (i, &[x, y]) in places.iter().enumerate() {
                     [axes[i], axes[n + i], axes[2 * n + i]] = level.point(x, y);
                 }
+                let model = flat.as_ref().map_or(model, |flat| {
+                    axes[2 * n..].fill(0.0);
+                    flat
+                });
                 let Ok(positions) = Positions::new(&axes[..n], &axes[n..2 * n], &axes[2 * n..]) else {
                     return out.fill(f64::NAN);
                 };
@@ -175,7 +194,7 @@ impl Sensing {
                 Some(grid) => grid.sample_and_gradient(x, y, *interpolation),
                 None => field.value_and_gradient(x, y),
             }],
-            Source::Harmonic { model, sensor, level } => {
+            Source::Harmonic { model, sensor, level, .. } => {
                 let e = model.evaluate_at(level.point(x, y));
                 let along = |direction: [f64; 3]| {
                     let slope: [f64; 3] =
@@ -268,5 +287,38 @@ impl Sensing {
             }
         };
         columns.into_iter().map(|c| GridMap::from_axes(GridValues::F64(c), x, y, self.geographic())).collect()
+    }
+}
+
+/// A place in the middle of the region, on a plane.
+fn centre_of(model: &RectangularHarmonicModel, down_m: f64) -> [f64; 3] {
+    let middle = |[low, high]: [f64; 2]| 0.5 * (low + high);
+    [middle(model.region().north_m), middle(model.region().east_m), down_m]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::harmonic::{Region, terms};
+
+    #[test]
+    fn a_plane_reads_what_the_model_says_there() {
+        let region = Region { north_m: [-1e3, 1e3], east_m: [-1e3, 1e3], down_m: [-200.0, 50.0] };
+        let mut coefficients = vec![3.0, -4.0, 7.0];
+        coefficients.extend(terms(9).enumerate().map(|(k, _)| 900.0 * (1.3 * k as f64).sin()));
+        let model = Arc::new(RectangularHarmonicModel::new(9, [2.6e3; 2], coefficients, region).unwrap());
+        for down in [0.0, -130.0, 20.0, -5e3] {
+            let sensing = Sensing::at_down(Arc::clone(&model), Sensor::Vector, down).unwrap();
+            let places: Vec<[f64; 2]> =
+                (0..7).map(|k| [130.0 * f64::from(k) - 400.0, 90.0 * f64::from(k) - 300.0]).collect();
+            let mut out = vec![0.0; 21];
+            sensing.read(&places, &mut out);
+            for (place, found) in places.iter().zip(out.chunks_exact(3)) {
+                let expected = model.field_at([place[1], place[0], down]);
+                for (f, e) in found.iter().zip(expected) {
+                    assert!((f - e).abs() < 1e-11 * (1.0 + e.abs()), "{down} {f} {e}");
+                }
+            }
+        }
     }
 }

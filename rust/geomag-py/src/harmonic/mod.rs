@@ -1,22 +1,24 @@
 //! `RectangularHarmonicModel`, `FieldObservations` and `HarmonicMap`.
 
-use std::sync::{Arc, Mutex, PoisonError};
+mod map;
+mod observations;
+mod request;
+
+use std::sync::Arc;
 
 use geomag_core::error::Error;
-use geomag_core::field::Field;
-use geomag_core::grid::{Axis, GridMap};
 use geomag_core::harmonic::{
-    FitOptions, HarmonicMap, Observations, Period, Positions, Quantity, RectangularHarmonicModel, Region,
-    Regularisation, SelectionOptions, coefficient_count, fit, select, terms,
+    HarmonicMap, Observations, Positions, Quantity, RectangularHarmonicModel, Region, leave_out, select, terms,
 };
-use geomag_core::monitor::Monitor;
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList, PyTuple};
+use pyo3::types::{PyDict, PyList};
 
+pub use self::map::PyHarmonicMap;
+pub use self::observations::PyFieldObservations;
+use self::request::{Request, keywords};
 use crate::arrays::{array, broadcast, matrix, pair, shaped, vector};
-use crate::error::{PyRes, invalid};
+use crate::error::{PyRes, file_error, invalid};
 use crate::frame::{PyLocalFrame, stacked, vectors};
-use crate::grid::PyGridMap;
 use crate::long_call;
 
 /// Reads the name of a scalar of the field.
@@ -84,277 +86,9 @@ fn sigmas(object: Option<&Bound<'_, PyAny>>) -> PyRes<Vec<f64>> {
     object.map_or_else(|| Ok(Vec::new()), |o| vector("sigma", o))
 }
 
-/// What a harmonic model is fitted to: any mixture of components, anomalies and intensities, each with its own weight.
-///
-/// Every `add_` returns the object, so that calls can be chained. Positions are north, east, down of the model's frame in
-/// metres; `sigma` is the standard deviation (a number, or one a point).
-///
-/// Examples
-/// --------
-/// >>> import geomag
-/// >>> data = geomag.FieldObservations()
-/// >>> data = data.add_vector([0.0, 1e3], [0.0, 0.0], [-80.0, -80.0], [[10.0, 2.0, -5.0], [8.0, 1.0, -4.0]], sigma=2.0)
-/// >>> data.add_anomaly([0.0], [5e2], [-80.0], [4.0], main_field=[31e3, 0.0, 38e3])
-/// FieldObservations(7 numbers at 3 points)
-#[pyclass(frozen, name = "FieldObservations", module = "geomag")]
-pub struct PyFieldObservations {
-    inner: Mutex<Observations>,
-}
-
-impl PyFieldObservations {
-    fn snapshot(&self) -> Observations {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    fn change(&self, change: impl FnOnce(&mut Observations) -> Result<(), Error>) -> PyRes<()> {
-        // A failed addition must leave nothing behind.
-        let mut guard = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut copy = guard.clone();
-        change(&mut copy)?;
-        *guard = copy;
-        Ok(())
-    }
-}
-
-#[pymethods]
-impl PyFieldObservations {
-    #[new]
-    fn new() -> Self {
-        Self { inner: Mutex::new(Observations::new()) }
-    }
-
-    #[pyo3(signature = (north_m, east_m, down_m, field, *, sigma = None))]
-    fn add_vector<'py>(
-        slf: Bound<'py, Self>,
-        north_m: &Bound<'py, PyAny>,
-        east_m: &Bound<'py, PyAny>,
-        down_m: &Bound<'py, PyAny>,
-        field: &Bound<'py, PyAny>,
-        sigma: Option<&Bound<'py, PyAny>>,
-    ) -> PyRes<Bound<'py, Self>> {
-        let points = Points::new(north_m, east_m, down_m)?;
-        let (values, sigma) = (vectors("field", field)?.0, sigmas(sigma)?);
-        slf.get().change(|o| o.vector(&points.positions()?, &values, &sigma))?;
-        Ok(slf)
-    }
-
-    #[pyo3(signature = (north_m, east_m, down_m, values, *, main_field, sigma = None))]
-    fn add_anomaly<'py>(
-        slf: Bound<'py, Self>,
-        north_m: &Bound<'py, PyAny>,
-        east_m: &Bound<'py, PyAny>,
-        down_m: &Bound<'py, PyAny>,
-        values: &Bound<'py, PyAny>,
-        main_field: &Bound<'py, PyAny>,
-        sigma: Option<&Bound<'py, PyAny>>,
-    ) -> PyRes<Bound<'py, Self>> {
-        let points = Points::new(north_m, east_m, down_m)?;
-        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
-        slf.get().change(|o| o.anomaly(&points.positions()?, &values, &main, &sigma))?;
-        Ok(slf)
-    }
-
-    #[pyo3(signature = (north_m, east_m, down_m, values, *, main_field, sigma = None))]
-    fn add_intensity<'py>(
-        slf: Bound<'py, Self>,
-        north_m: &Bound<'py, PyAny>,
-        east_m: &Bound<'py, PyAny>,
-        down_m: &Bound<'py, PyAny>,
-        values: &Bound<'py, PyAny>,
-        main_field: &Bound<'py, PyAny>,
-        sigma: Option<&Bound<'py, PyAny>>,
-    ) -> PyRes<Bound<'py, Self>> {
-        let points = Points::new(north_m, east_m, down_m)?;
-        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
-        slf.get().change(|o| o.intensity(&points.positions()?, &values, &main, &sigma))?;
-        Ok(slf)
-    }
-
-    fn __len__(&self) -> usize {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner).len()
-    }
-
-    fn __repr__(&self) -> String {
-        let inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        format!("FieldObservations({} numbers at {} points)", inner.len(), inner.point_count())
-    }
-}
-
 /// Numbers of any shape, flattened.
 fn flat(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
     Ok(array(what, object)?.as_array().iter().copied().collect())
-}
-
-/// One value or several to choose from.
-fn choices<T: for<'a, 'py> FromPyObject<'a, 'py>>(
-    what: &str,
-    needed: &str,
-    object: &Bound<'_, PyAny>,
-) -> PyRes<Vec<T>> {
-    if let Ok(one) = object.extract::<T>() {
-        return Ok(vec![one]);
-    }
-    let Ok(items) = object.try_iter() else {
-        return Err(invalid(what, needed, object.repr()?));
-    };
-    let mut out = Vec::new();
-    for item in items {
-        let item = item?;
-        out.push(
-            item.extract()
-                .map_err(|_| invalid(what, needed, item.repr().map_or_else(|e| e.to_string(), |r| r.to_string())))?,
-        );
-    }
-    if out.is_empty() { Err(invalid(what, needed, "an empty sequence")) } else { Ok(out) }
-}
-
-/// What `fit`, `fit_observations` and `select` are told.
-struct Request {
-    orders: Vec<usize>,
-    ratios: Vec<f64>,
-    ridges: Vec<f64>,
-    options: FitOptions,
-    folds: usize,
-    groups: Option<Vec<u64>>,
-    seed: u64,
-}
-
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-struct Keywords<'py> {
-    order: Bound<'py, PyAny>,
-    period_ratio: Bound<'py, PyAny>,
-    periods_m: Option<Bound<'py, PyAny>>,
-    ridge: Bound<'py, PyAny>,
-    truncation: Option<f64>,
-    damping_m: f64,
-    huber: Option<f64>,
-    max_iterations: usize,
-    covariance: bool,
-    frame: Option<Py<PyLocalFrame>>,
-    unit: String,
-    folds: usize,
-    groups: Option<Bound<'py, PyAny>>,
-    seed: u64,
-}
-
-impl Request {
-    fn new(k: &Keywords<'_>) -> PyRes<Self> {
-        let orders = choices("order", "an order >= 0, or several to choose from", &k.order)?;
-        let ratios = choices("period_ratio", "a ratio >= 1, or several to choose from", &k.period_ratio)?;
-        let ridges = choices("ridge", "a number >= 0, or several to choose from", &k.ridge)?;
-        let regularisation = match k.truncation {
-            Some(share) => Regularisation::TruncatedSvd(share),
-            None => Regularisation::Ridge(ridges[0]),
-        };
-        let period = match &k.periods_m {
-            None => Period::Ratio(ratios[0]),
-            Some(periods) => Period::Metres(pair("periods_m", periods)?),
-        };
-        let groups = k.groups.as_ref().map(labels).transpose()?;
-        let options = FitOptions {
-            order: orders[0],
-            period,
-            regularisation,
-            damping_m: k.damping_m,
-            huber: k.huber,
-            max_iterations: k.max_iterations,
-            covariance: k.covariance,
-            frame: k.frame.as_ref().map(|f| f.get().inner),
-            unit: k.unit.clone(),
-        };
-        let several = orders.len() * ratios.len() * ridges.len() > 1;
-        if several && (k.truncation.is_some() || k.periods_m.is_some()) {
-            return Err(invalid(
-                "order, period_ratio, ridge",
-                "one of each where periods_m or truncation is given",
-                "several",
-            ));
-        }
-        Ok(Self { orders, ratios, ridges, options, folds: k.folds, groups, seed: k.seed })
-    }
-
-    fn several(&self) -> bool {
-        self.orders.len() * self.ratios.len() * self.ridges.len() > 1
-    }
-
-    /// About the nanoseconds that it takes.
-    fn units(&self, rows: usize) -> u64 {
-        let columns = self.orders.iter().map(|&n| coefficient_count(n.min(1000)) as u64).max().unwrap_or(0);
-        (rows as u64).saturating_mul(columns.saturating_mul(columns) / 8).saturating_mul(self.ratios.len() as u64)
-    }
-
-    fn selection(&self) -> SelectionOptions {
-        SelectionOptions {
-            orders: self.orders.clone(),
-            period_ratios: self.ratios.clone(),
-            ridges: self.ridges.clone(),
-            folds: self.folds,
-            groups: self.groups.clone(),
-            seed: self.seed,
-        }
-    }
-
-    fn run(&self, observations: &Observations, monitor: &dyn Monitor) -> Result<RectangularHarmonicModel, Error> {
-        if !self.several() {
-            return fit(observations, &self.options, monitor);
-        }
-        let found = select(observations, &self.selection(), &self.options, monitor)?;
-        let best = found.candidates[found.best];
-        let options = FitOptions {
-            order: best.order,
-            period: Period::Ratio(best.period_ratio),
-            regularisation: Regularisation::Ridge(best.ridge),
-            ..self.options.clone()
-        };
-        fit(observations, &options, monitor)
-    }
-}
-
-/// Labels of any kind as numbers, in the order in which they come.
-fn labels(object: &Bound<'_, PyAny>) -> PyRes<Vec<u64>> {
-    let seen = PyDict::new(object.py());
-    let mut out = Vec::new();
-    for item in object.try_iter()? {
-        let item = item?;
-        let next = seen.len() as u64;
-        if let Some(known) = seen.get_item(&item)? {
-            out.push(known.extract()?);
-        } else {
-            seen.set_item(item, next)?;
-            out.push(next);
-        }
-    }
-    Ok(out)
-}
-
-/// Defaults of the keywords that `fit`, `fit_observations` and `select` share.
-fn keywords<'py>(py: Python<'py>, given: Option<&Bound<'py, PyDict>>) -> PyRes<Keywords<'py>> {
-    let all = PyDict::new(py);
-    all.set_item("order", 12)?;
-    all.set_item("period_ratio", 1.5)?;
-    all.set_item("ridge", 1e-9)?;
-    for name in ["periods_m", "truncation", "huber", "frame", "groups"] {
-        all.set_item(name, py.None())?;
-    }
-    all.set_item("damping_m", 0.0)?;
-    all.set_item("max_iterations", 20)?;
-    all.set_item("covariance", true)?;
-    all.set_item("unit", "nT")?;
-    all.set_item("folds", 5)?;
-    all.set_item("seed", 0)?;
-    if let Some(given) = given {
-        for (key, value) in given {
-            let name: String = key.extract()?;
-            if all.get_item(&name)?.is_none() {
-                return Err(
-                    pyo3::exceptions::PyTypeError::new_err(format!("unexpected keyword argument '{name}'")).into()
-                );
-            }
-            all.set_item(name, value)?;
-        }
-    }
-    all.extract().map_err(|e: PyErr| invalid("options of the fit", "arguments of the documented types", e))
 }
 
 /// A rectangular harmonic model of a potential field in a source-free box.
@@ -400,7 +134,8 @@ impl PyHarmonicModel {
         Ok((values, points.shape))
     }
 
-    fn level(&self, quantity: Quantity, down_m: Option<f64>, height_m: Option<f64>) -> PyRes<HarmonicMap> {
+    /// The map of a scalar on a level.
+    pub fn level(&self, quantity: Quantity, down_m: Option<f64>, height_m: Option<f64>) -> PyRes<HarmonicMap> {
         let model = Arc::clone(&self.inner);
         match (down_m, height_m) {
             (Some(_), Some(_)) => Err(invalid("level", "one of down_m and height_m", "both")),
@@ -502,6 +237,9 @@ impl PyHarmonicModel {
             entry.set_item("order", c.order)?;
             entry.set_item("period_ratio", c.period_ratio)?;
             entry.set_item("ridge", c.ridge)?;
+            entry.set_item("damping_m", c.prior.damping_m)?;
+            entry.set_item("spectrum_power", c.prior.power)?;
+            entry.set_item("anisotropy", c.prior.anisotropy)?;
             entry.set_item("rms", c.rms)?;
             entry.set_item("rms_error", c.rms_error)?;
             if k == found.best {
@@ -510,6 +248,31 @@ impl PyHarmonicModel {
             list.append(entry)?;
         }
         Ok((best, list))
+    }
+
+    #[staticmethod]
+    #[pyo3(signature = (observations, *, threads = None, progress = None, **options))]
+    fn leave_out<'py>(
+        py: Python<'py>,
+        observations: &PyFieldObservations,
+        threads: Option<usize>,
+        progress: Option<&Bound<'py, PyAny>>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyDict>> {
+        let observations = observations.snapshot();
+        let request = Request::new(&keywords(py, options)?)?;
+        let units = request.units(observations.len()).saturating_mul(request.folds as u64);
+        let left = long_call::run(py, units, threads, progress, |monitor| {
+            let groups = request.groups.as_deref();
+            leave_out(&observations, &request.options, request.folds, groups, request.seed, monitor)
+        })?;
+        let out = PyDict::new(py);
+        let shape = [left.errors.len()];
+        out.set_item("errors", shaped(py, left.errors, &shape)?)?;
+        out.set_item("sigma", shaped(py, left.sigma, &shape)?)?;
+        out.set_item("nugget", left.misfit.nugget)?;
+        out.set_item("scale", left.misfit.scale)?;
+        Ok(out)
     }
 
     #[staticmethod]
@@ -747,6 +510,14 @@ impl PyHarmonicModel {
         self.inner.unit()
     }
 
+    /// (nugget, scale) of `sigma**2 = nugget**2 + (scale * s)**2`, s from the covariance of the coefficients; (0, 1)
+    /// where the model was not told of its misfit.
+    #[getter]
+    fn misfit(&self) -> (f64, f64) {
+        let misfit = self.inner.misfit();
+        (misfit.nugget, misfit.scale)
+    }
+
     #[getter]
     fn summary<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
         let Some(s) = self.inner.summary() else { return Ok(None) };
@@ -791,116 +562,5 @@ trait IntoFlattenedVec {
 impl<const N: usize> IntoFlattenedVec for [[f64; 2]; N] {
     fn into_flattened_vec(self) -> Vec<f64> {
         self.into_iter().flatten().collect()
-    }
-}
-
-fn file_error(path: &std::path::Path, error: &std::io::Error) -> PyErr {
-    match error.kind() {
-        std::io::ErrorKind::NotFound => {
-            pyo3::exceptions::PyFileNotFoundError::new_err(format!("{}: {error}", path.display()))
-        }
-        _ => pyo3::exceptions::PyOSError::new_err(format!("{}: {error}", path.display())),
-    }
-}
-
-/// One scalar of a harmonic model on a level surface: stands wherever a matcher takes a map.
-///
-/// Made by `RectangularHarmonicModel.to_map`. With `height_m` coordinates are degrees (x longitude, y latitude), with
-/// `down_m` metres (x east, y north of the frame's origin).
-#[pyclass(frozen, name = "HarmonicMap", module = "geomag")]
-pub struct PyHarmonicMap {
-    /// The map.
-    pub inner: Arc<HarmonicMap>,
-    down_m: Option<f64>,
-    height_m: Option<f64>,
-}
-
-#[pymethods]
-impl PyHarmonicMap {
-    fn sample<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
-        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.value(x, y)).collect());
-        shaped(py, values, &shape)
-    }
-
-    fn gradient<'py>(
-        &self,
-        py: Python<'py>,
-        x: &Bound<'py, PyAny>,
-        y: &Bound<'py, PyAny>,
-    ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let (east, north) = py.detach(|| {
-            x.iter()
-                .zip(&y)
-                .map(|(&x, &y)| self.inner.value_and_gradient(x, y).1)
-                .map(|[e, n]| (e, n))
-                .unzip::<f64, f64, Vec<_>, Vec<_>>()
-        });
-        Ok((shaped(py, east, &shape)?, shaped(py, north, &shape)?))
-    }
-
-    fn to_grid<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
-        let axis = |name: &str, object: &Bound<'py, PyAny>| -> PyRes<Axis> {
-            let (axis, reversed) = Axis::from_coordinates(name, &vector(name, object)?, 0.0)?;
-            if reversed { Err(invalid(name, "ascending coordinates", "descending ones")) } else { Ok(axis) }
-        };
-        let (x, y) = (axis("x", x)?, axis("y", y)?);
-        let grid: GridMap = py.detach(|| self.inner.to_grid(x, y))?;
-        let unit = self.inner.model().unit().to_owned();
-        Ok(PyGridMap::from_core(grid, None, Some(unit), None).into_pyobject(py)?.into_any())
-    }
-
-    #[getter]
-    fn geographic(&self) -> bool {
-        self.inner.geographic()
-    }
-
-    #[getter]
-    fn spacing(&self) -> (f64, f64) {
-        self.inner.spacing().into()
-    }
-
-    #[getter]
-    fn mean(&self) -> f64 {
-        self.inner.mean()
-    }
-
-    #[getter]
-    fn model(&self) -> PyHarmonicModel {
-        PyHarmonicModel { inner: Arc::clone(self.inner.model()) }
-    }
-
-    #[getter]
-    fn quantity(&self) -> &'static str {
-        quantity_name(self.inner.quantity()).0
-    }
-
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let this = slf.get();
-        let (name, main) = quantity_name(this.inner.quantity());
-        let arguments = (this.model(), name, main, this.down_m, this.height_m).into_pyobject(slf.py())?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
-    }
-
-    #[staticmethod]
-    #[pyo3(signature = (model, quantity, main_field, down_m, height_m))]
-    fn _restore(
-        model: &PyHarmonicModel,
-        quantity: &str,
-        main_field: Option<[f64; 3]>,
-        down_m: Option<f64>,
-        height_m: Option<f64>,
-    ) -> PyRes<Self> {
-        let inner = Arc::new(model.level(self::quantity(quantity, main_field)?, down_m, height_m)?);
-        Ok(Self { inner, down_m, height_m })
-    }
-
-    fn __repr__(&self) -> String {
-        let level = match (self.height_m, self.down_m) {
-            (Some(h), _) => format!("height {h} m"),
-            (None, d) => format!("down {} m", d.unwrap_or(0.0)),
-        };
-        format!("HarmonicMap({} at {level}, order {})", self.quantity(), self.inner.model().order())
     }
 }
