@@ -113,6 +113,79 @@ def test_error_model_stays_with_the_map(grid):
     assert again.error_model["distance_m"] == 150.0
 
 
+#: Two tracks over the EMM map, (first, step, offset) of longitude and latitude and readings, at which a search that judges a
+#: coarse cell by a density widened to its size is sure of a place kilometres away: the flat places win.
+LOST_BY_COARSE_DENSITY = [
+    (
+        (118.8104184088991, -0.009142125187663871, 0.08416999),
+        (31.776816542016014, -0.0050154132697789785, -0.02353608),
+        "19.6 24.27 30.99 36.21 43.04 48.96 55.73 62.12 67.99 74.66 81.24 87.33 93.05 98.51 103.77 109.2 114.9 119.57 124.4 "
+        "128.14 130.58 134.92 136.96 140.83 142.17 143.22 143.63 144.02 144.86 144.17 143.19 142.05 140.77 137.17 135.42 133.3 "
+        "129.87 125.43 121.85 118.31",
+    ),
+    (
+        (116.60587702984708, 0.010316926777321829, 0.06124858),
+        (32.50544744005069, -0.00298513064075296, -0.09115291),
+        "29.82 29.53 28.87 28.54 25.7 23.72 22.39 20.57 17.28 14.15 10.76 7.34 3.25 0.11 -3.13 -6.41 -10.34 -15.48 -17.8 -21.46 "
+        "-24.53 -28.22 -30.55 -33.3 -35.71 -38.63 -39.7 -41.54 -42.19 -42.53 -43.11 -43.49 -43.41 -42.82 -42.17 -41.44 -40.57 "
+        "-38.26 -37.94 -35.0",
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def emm(data_file):
+    pytest.importorskip("xarray")
+    path = data_file("emm2017-crustal/emm2017_east_china_116_120E_31_35N_h0.nc")
+    raw = geomag.read_grid(path, "total_field_anomaly_nt")
+    return geomag.GridMap(raw.values, raw.x, raw.y, geographic=True, sigma=0.0)
+
+
+@pytest.mark.parametrize("case", LOST_BY_COARSE_DENSITY, ids=["rms 1.3 km", "rms 14 km"])
+def test_coarse_stage_keeps_the_cell_that_holds_the_truth(emm, case):
+    (x, dx, off_x), (y, dy, off_y), readings = case
+    k = np.arange(40)
+    track = geomag.Track(x + dx * k, y + dy * k, np.array(readings.split(), dtype=float))
+    half = 10_400 / np.array(emm.metres_per_unit(float(y)))
+    fix = geomag.match_posterior(emm, track, half_width=tuple(half), sigma=0.5, tolerance_m=1110)
+    error = np.hypot(*((np.array(fix.offset) - [off_x, off_y]) * emm.metres_per_unit(float(y))))
+    assert error < 1110 or fix.risk > 0.02
+
+
+@pytest.mark.parametrize("streaming", [False, True])
+def test_risk_holds_on_the_emm_map(emm, streaming):
+    result = calibrate_simulated(
+        emm, sigma=0.5, half_width_m=11_100, tolerance_m=1110, trials=600, seed=4, streaming=streaming, bias_sigma=0.0
+    )
+    summary = result.summary()
+    assert summary["fixed"] > 0.95
+    assert summary["median_m"] < 0.25 * 1110
+    ok = result.fixed
+    wrong, declared = np.sum(result.error_m[ok] > 1110), result.risk[ok].sum()
+    assert wrong <= declared + 3 * np.sqrt(declared + 1)
+
+
+def test_prediction_and_bound_on_the_emm_map(emm):
+    rng = np.random.default_rng(9)
+    tracks = []
+    while len(tracks) < 300:
+        course = rng.uniform(0, 2 * np.pi)
+        path = rng.uniform([117, 32], [119, 34]) + 0.02 * np.outer(np.arange(40) - 20, [np.sin(course), np.cos(course)])
+        values = emm.sample(path[:, 0], path[:, 1]) + rng.normal(0, 0.5, 40)
+        tracks.append(geomag.Track(path[:, 0], path[:, 1], values))
+    options = {"half_width": 0.05, "sigma": 0.5, "tolerance_m": 2000.0, "bias_sigma": 0.0}
+    predicted = geomag.predict_many(emm, tracks, flights=0, **options)
+    fixes = geomag.match_posterior_many(emm, tracks, **options)
+    pairs = [(p, np.array(f.offset_m)) for p, f in zip(predicted, fixes, strict=True) if f.ok]
+    assert len(pairs) > 200
+    against_bound = np.mean([e @ np.linalg.solve(p.bound_m2, e) for p, e in pairs])
+    against_prediction = np.mean([e @ np.linalg.solve(p.covariance_m2, e) for p, e in pairs])
+    # Chi-square with two degrees of freedom over the fixes, four standard errors; the bound may be missed by 1.15.
+    chance = 4 * 2 / np.sqrt(len(pairs))
+    assert abs(against_prediction - 2) < chance
+    assert np.sqrt(against_bound / 2) < 1.15
+
+
 @pytest.mark.parametrize(
     ("extra", "told"),
     [

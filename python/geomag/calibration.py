@@ -38,6 +38,7 @@ class Calibration:
 
     Shapes (n,): `risk` declared, `error_m` of the newest position, `fixed` whether a fix was declared, `status`, `nees` the
     normalised error squared e^T P^-1 e (2 on average where the covariance is right), `samples` that the answer took.
+    `independent` is the share of the tracks that have no sample in common: intervals are those of so many.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Calibration:
     status: npt.NDArray[np.str_]
     nees: Array
     samples: npt.NDArray[np.int_]
+    independent: float = 1.0
 
     def summary(self) -> dict[str, float]:
         """Fix rate, and of the fixes: share wrong, share beyond twice the tolerance, errors, mean declared risk, mean NEES."""
@@ -67,7 +69,14 @@ class Calibration:
             "rms_m": float(np.sqrt(np.mean(error**2))) if some else nan,
             "nees": float(np.mean(self.nees[ok])) if some else nan,
             "samples_median": float(np.median(self.samples[ok])) if some else nan,
+            "samples_p95": self.samples_for(0.95),
+            "wrong_upper": one_sided_limit(float(np.sum(error > self.tolerance_m)), error.size, self.independent),
         }
+
+    def samples_for(self, share: float) -> float:
+        """Samples after which `share` of all tracks were fixed, infinite where they never were (streamed answers)."""
+        needed = np.sort(np.where(self.fixed, self.samples, np.inf))
+        return float(needed[min(int(np.ceil(share * needed.size)) - 1, needed.size - 1)])
 
     def reliability(self, bins: tuple[float, ...] = RISK_BINS) -> list[dict[str, float]]:
         """One row a risk bin: tracks, mean declared risk, observed wrong share, its 95 % Wilson interval."""
@@ -77,7 +86,7 @@ class Calibration:
             inside = stated & (self.risk >= low) & (self.risk < high)
             n = int(inside.sum())
             wrong = int(np.sum(self.error_m[inside] > self.tolerance_m))
-            below, above = wilson(wrong, n)
+            below, above = wilson(wrong * self.independent, n * self.independent)
             rows.append(
                 {
                     "low": low,
@@ -98,7 +107,12 @@ class Calibration:
         lines = [
             f"### {self.name}",
             "",
-            f"Tolerance {self.tolerance_m:g} m, fixes declared at risk up to {100 * self.max_risk:g} %.",
+            f"Tolerance {self.tolerance_m:g} m, fixes declared at risk up to {100 * self.max_risk:g} %."
+            + (
+                f" Tracks overlap: {self.independent * s['tracks']:.0f} are independent, and the intervals are theirs."
+                if self.independent < 1
+                else ""
+            ),
             "",
             "| tracks | fixed | wrong | beyond twice the tolerance | mean declared | median error | 95 % | NEES | samples |",
             "|---|---|---|---|---|---|---|---|---|",
@@ -142,7 +156,12 @@ class Calibration:
         pyplot.close(figure)
 
 
-def wilson(wrong: int, n: int, z: float = 1.96) -> tuple[float, float]:
+def one_sided_limit(wrong: float, n: int, independent: float = 1.0) -> float:
+    """Upper 95 % limit of a binomial share (Wilson) of `n` trials of which `independent` is the share that counts."""
+    return wilson(wrong * independent, n * independent, 1.645)[1]
+
+
+def wilson(wrong: float, n: float, z: float = 1.96) -> tuple[float, float]:
     """Interval of a binomial share (Wilson, J. Am. Stat. Assoc. 22 (1927) 209); (0, 1) for no trials."""
     if n == 0:
         return 0.0, 1.0
@@ -163,13 +182,19 @@ def assess(
     max_risk: float = 0.01,
     **options: Any,  # noqa: ANN401 - options of match_posterior, as they are
 ) -> Calibration:
-    """Match tracks whose true newest positions `truth` (n, 2) are known. Other options are those of `match_posterior`."""
+    """Match tracks whose true positions are known. Other options are those of `match_posterior`.
+
+    `truth` has the newest position of every track, shape (n, 2), or those of all samples, (n, samples, 2): what a streamed answer
+    needs where the offset changes along the track, because it comes before the last sample.
+    """
     truth = np.asarray(truth, dtype=float)
-    if truth.shape != (len(tracks), 2):
-        raise InvalidInputError(f"truth: needed shape ({len(tracks)}, 2), got {truth.shape}")
+    if truth.shape[:1] != (len(tracks),) or truth.ndim not in (2, 3) or truth.shape[-1] != 2:
+        raise InvalidInputError(
+            f"truth: needed shape ({len(tracks)}, 2) or ({len(tracks)}, samples, 2), got {truth.shape}"
+        )
     if not tracks:
         raise TooFewSamplesError("tracks: needed at least 1, got 0")
-    east, north = grid.metres_per_unit(float(np.mean(truth[:, 1])))
+    east, north = grid.metres_per_unit(float(np.mean(truth[..., 1])))
     fixes = match_posterior_many(
         grid,
         tracks,
@@ -180,13 +205,15 @@ def assess(
     )
     n = len(fixes)
     risk, error, nees = np.ones(n), np.full(n, np.inf), np.full(n, np.nan)
-    for i, (fix, track, (x, y)) in enumerate(zip(fixes, tracks, truth, strict=True)):
+    for i, (fix, track, place) in enumerate(zip(fixes, tracks, truth, strict=True)):
         if fix.risk is None:
             continue
         risk[i] = fix.risk
-        here = grid.metres_per_unit(float(y))
         # Judged by the offset at the newest sample that the answer rests on: a streamed fix may come before the last.
-        e = (np.array(fix.offset) - [x - track.x[-1], y - track.y[-1]]) * here
+        newest = fix.n_samples - 1 if truth.ndim == 3 else -1
+        x, y = place[newest] if truth.ndim == 3 else place
+        here = grid.metres_per_unit(float(y))
+        e = (np.array(fix.offset) - [x - track.x[newest], y - track.y[newest]]) * here
         error[i] = np.hypot(*e)
         covariance = fix.covariance_m2
         if covariance is not None and np.linalg.det(covariance) > 0:
@@ -215,6 +242,7 @@ def calibrate_lines(
     folds: int = 3,
     max_risk: float = 0.01,
     most: int = 2000,
+    overlap: float = 0.0,
     seed: int = 1,
     progress: Progress = None,
     **map_options: Any,  # noqa: ANN401 - options of map_from_lines, as they are
@@ -223,12 +251,16 @@ def calibrate_lines(
 
     A `folds`-th of the lines (neighbours in different folds) is taken away at a time; map and error model are made from the
     others alone; windows of `samples` samples `spacing_m` apart along the lines taken away, started anywhere within
-    `half_width_m` per axis, are matched. At most `most` windows, drawn at random.
+    `half_width_m` per axis, are matched. At most `most` windows, drawn at random; a window shares `overlap` of its samples with
+    the next, and the intervals of the answer are those of the windows that would not.
     """
+    if not 0 <= overlap < 1:
+        raise InvalidInputError(f"overlap: needed a share in [0, 1), got {overlap}")
     pieces = lines.split()
     fold = folds_of(pieces, folds)
     rng = np.random.default_rng(seed)
     parts = []
+    apart = 0
     for k in range(folds):
         kept = [one for one, f in zip(pieces, fold, strict=True) if f != k]
         training = Lines(
@@ -239,11 +271,14 @@ def calibrate_lines(
             lines.geographic,
         )
         grid = map_from_lines(training, progress=progress, **map_options)
-        windows = [
-            w
-            for w in _windows([one for one, f in zip(pieces, fold, strict=True) if f == k], spacing_m, samples)
-            if len(w[0]) == samples and np.mean(np.isfinite(grid.sample(w[0], w[1]))) >= 0.9
-        ]
+        taken = [one for one, f in zip(pieces, fold, strict=True) if f == k]
+
+        def usable(share: float, taken: list[Lines] = taken, grid: GridMap = grid) -> list[tuple[Array, Array, Array]]:
+            some = _windows(taken, spacing_m, samples, share)
+            return [w for w in some if len(w[0]) == samples and np.mean(np.isfinite(grid.sample(w[0], w[1]))) >= 0.9]
+
+        windows = usable(overlap)
+        apart += len(usable(0.0))
         if len(windows) > most // folds:
             windows = [windows[i] for i in rng.choice(len(windows), most // folds, replace=False)]
         tracks, truth = [], []
@@ -270,7 +305,8 @@ def calibrate_lines(
         key: np.concatenate([getattr(p, key) for p in parts])
         for key in ("risk", "error_m", "fixed", "status", "nees", "samples")
     }
-    return Calibration(name, tolerance_m, max_risk, **arrays)
+    independent = 1.0 if overlap == 0 else min(1.0, apart / len(arrays["risk"]))
+    return Calibration(name, tolerance_m, max_risk, independent=independent, **arrays)
 
 
 def calibrate_simulated(
@@ -324,16 +360,20 @@ def calibrate_simulated(
             values = values + (rng.random(samples) < outlier_share) * rng.choice([-1, 1], samples) * outlier
         away = rng.uniform(0, 2 * np.pi)
         age = np.linspace(1, 0, samples)[:, None]
-        offset = rng.uniform(-half_width_m, half_width_m, 2) / metres
         # True = indicated + offset - age * drift at every sample; the heading error turns about the newest.
         turned = (path - path[-1]) * metres
         angle = np.radians(rng.normal(0, heading_deg))
         turned = turned @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]).T
-        indicated = (
-            path[-1] + turned / metres - offset + age * drift_m * np.array([np.sin(away), np.cos(away)]) / metres
-        )
+        moved = turned - (path - path[-1]) * metres + age * drift_m * np.array([np.sin(away), np.cos(away)])
+        # The bound that the matcher is told holds all along the track.
+        low_m, high_m = np.max(moved, axis=0) - half_width_m, np.min(moved, axis=0) + half_width_m
+        if np.any(low_m >= high_m):
+            refused += 1
+            continue
+        offset = rng.uniform(low_m, high_m)
+        indicated = path + (moved - offset) / metres
         tracks.append(Track(indicated[:, 0], indicated[:, 1], values))
-        truth.append(path[-1])
+        truth.append(path)
     return assess(
         grid,
         tracks,

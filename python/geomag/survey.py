@@ -317,8 +317,13 @@ def _sigma(gradient: Array, curvature: Array, distance: Array, law: _Law, a: flo
     )
 
 
-def _windows(lines: list[Lines], spacing_m: float, length: int) -> list[tuple[Array, Array, Array]]:
-    """Equally spaced samples along every line: as many windows of `length` as fit, or one shorter."""
+def _windows(
+    lines: list[Lines], spacing_m: float, length: int, overlap: float = 0.0
+) -> list[tuple[Array, Array, Array]]:
+    """Equally spaced samples along every line: as many windows of `length` as fit, or one shorter.
+
+    A window shares `overlap` of its samples with the one before it.
+    """
     out = []
     for one in lines:
         east, north = one.scale_m()
@@ -327,7 +332,7 @@ def _windows(lines: list[Lines], spacing_m: float, length: int) -> list[tuple[Ar
         step = length if total >= length else total
         if step < SHORTEST_WINDOW:
             continue
-        for start in range(0, total - step + 1, step):
+        for start in range(0, total - step + 1, max(1, round(step * (1 - overlap)))):
             at = spacing_m * (start + np.arange(step))
             out.append((np.interp(at, along, one.x), np.interp(at, along, one.y), np.interp(at, along, one.values)))
     return out

@@ -22,7 +22,20 @@ def calibrate(
     samples: Annotated[int, typer.Option(help="Samples of a track.")] = 40,
     simulate: Annotated[bool, typer.Option(help="Fly over the map instead of matching left-out lines.")] = False,
     sigma: Annotated[float, typer.Option(help="Sensor noise of the simulation, map units.")] = 1.0,
+    map_sigma: Annotated[
+        float | None,
+        typer.Option(help="Error of the simulated map, map units; 0 for one that is right, not given for unknown."),
+    ] = None,
+    bias: Annotated[
+        float, typer.Option(help="Greatest constant of the simulated readings; 0: known to be none.")
+    ] = 0.0,
+    outlier_share: Annotated[float, typer.Option(help="Share of simulated readings that are outliers.")] = 0.0,
+    outlier: Annotated[float, typer.Option(help="Size of the outliers, map units.")] = 0.0,
+    heading_deg: Annotated[float, typer.Option(help="Simulated heading error, one standard deviation.")] = 0.0,
+    drift_m: Annotated[float, typer.Option(help="Simulated drift over the track, m.")] = 0.0,
+    streaming: Annotated[bool, typer.Option(help="Stop every simulated track at its first fix.")] = False,
     trials: Annotated[int, typer.Option(help="Most tracks.")] = 2000,
+    overlap: Annotated[float, typer.Option(help="Share of a window that the next one has too (lines only).")] = 0.0,
     max_risk: Annotated[float, typer.Option(help="Risk up to which a fix is declared.")] = 0.01,
     x: Annotated[str, typer.Option(help="Column of x or longitude.")] = "longitude",
     y: Annotated[str, typer.Option(help="Column of y or latitude.")] = "latitude",
@@ -34,11 +47,14 @@ def calibrate(
     plot: Annotated[Path | None, typer.Option(help="Write the reliability diagram to this file.")] = None,
 ) -> int:
     """Report declared risk against observed errors, on left-out lines of a survey or on simulated flights."""
+    from geomag import GridMap
     from geomag.calibration import calibrate_lines, calibrate_simulated
     from geomag.survey import read_lines
 
     if simulate:
         grid = read_grid(source, variable, geographic=geographic)
+        if map_sigma is not None:
+            grid = GridMap(grid.values, grid.x, grid.y, geographic=grid.geographic, sigma=map_sigma)
         result = calibrate_simulated(
             grid,
             sigma=sigma,
@@ -48,6 +64,13 @@ def calibrate(
             samples=samples,
             trials=trials,
             max_risk=max_risk,
+            bias=bias,
+            outlier_share=outlier_share,
+            outlier=outlier,
+            heading_deg=heading_deg,
+            drift_m=drift_m,
+            streaming=streaming,
+            bias_sigma=None if bias else 0.0,
         )
     else:
         lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic)
@@ -59,6 +82,7 @@ def calibrate(
             spacing_m=spacing_m,
             samples=samples,
             most=trials,
+            overlap=overlap,
             max_risk=max_risk,
         )
     text = result.to_markdown()

@@ -15,6 +15,8 @@ const HERMITE: [(f64, f64); 5] = [
 ];
 /// Share of the prior's variance above which the field has told nothing.
 const UNINFORMED: f64 = 0.5;
+/// Probability of a candidate that changes no risk.
+const NOTHING: f64 = 1e-12;
 
 /// Probability that a point at distance `d` from the centre, displaced by a normal error of `sigma` per axis, lies
 /// within `radius` of it.
@@ -50,6 +52,10 @@ fn error_function(x: f64) -> f64 {
     1.0 - poly * (-x * x).exp()
 }
 
+fn square(x: f64, y: f64) -> f64 {
+    x * x + y * y
+}
+
 /// Upper tail of the standard normal law.
 pub(super) fn normal_tail(z: f64) -> f64 {
     let half = 0.5 * (1.0 - error_function(z.abs() / std::f64::consts::SQRT_2));
@@ -68,12 +74,12 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     // The centre of the mass within the tolerance of the mode, moved there twice, so that it sits on the mode's body and
     // not on one node of it.
     let mut centre = metres(posterior.offsets[mode]);
-    let p: Vec<f64> = posterior.log_p.iter().map(|lp| lp.exp()).collect();
+    let p: Vec<f64> = posterior.log_p.iter().map(|lp| if *lp > -60.0 { lp.exp() } else { 0.0 }).collect();
     for _ in 0..3 {
         let mut sums = [0.0; 3];
         for (o, p) in posterior.offsets.iter().zip(&p) {
             let [east, north] = metres(*o);
-            if (east - centre[0]).hypot(north - centre[1]) <= tolerance {
+            if square(east - centre[0], north - centre[1]) <= tolerance * tolerance {
                 sums[0] += p;
                 sums[1] += p * east;
                 sums[2] += p * north;
@@ -85,11 +91,11 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     }
     let (mut inside, mut mean, mut second) = (0.0, [0.0; 2], [0.0; 3]);
     for (i, o) in posterior.offsets.iter().enumerate() {
-        if p[i] < 1e-12 {
+        if p[i] < NOTHING {
             continue;
         }
         let [east, north] = metres(*o);
-        inside += p[i] * within((east - centre[0]).hypot(north - centre[1]), posterior.blur_m[i], tolerance);
+        inside += p[i] * within(square(east - centre[0], north - centre[1]).sqrt(), posterior.blur_m[i], tolerance);
         mean[0] += p[i] * east;
         mean[1] += p[i] * north;
     }
@@ -113,7 +119,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         .zip(&posterior.log_p)
         .filter(|(o, _)| {
             let [east, north] = metres(**o);
-            (east - centre[0]).hypot(north - centre[1]) > tolerance
+            square(east - centre[0], north - centre[1]) > tolerance * tolerance
         })
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
@@ -170,8 +176,9 @@ fn status(
     // A second place, not the flank of the first: the mass around the best point away from the answer.
     let rival = posterior.log_p.iter().position(|lp| *lp == runner_up && lp.is_finite());
     if let Some(rival) = rival {
-        let far =
-            |a: [f64; 2], b: [f64; 2]| ((a[0] - b[0]) * scale[0]).hypot((a[1] - b[1]) * scale[1]) > problem.tolerance_m;
+        let far = |a: [f64; 2], b: [f64; 2]| {
+            square((a[0] - b[0]) * scale[0], (a[1] - b[1]) * scale[1]) > problem.tolerance_m.powi(2)
+        };
         let there = posterior.offsets[rival];
         let distance = ((there[0] - offset[0]) * scale[0]).hypot((there[1] - offset[1]) * scale[1]);
         let mass: f64 = posterior.offsets.iter().zip(p).filter(|(o, _)| !far(**o, there)).map(|(_, p)| *p).sum();

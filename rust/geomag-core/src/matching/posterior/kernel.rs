@@ -3,43 +3,60 @@
 //! For a candidate offset with residuals e_k = measured - map and variances s_k^2, the bias b that maximises
 //! prod t(e_k - b) is found by reweighting (weights (nu + 1) / (nu s^2 + e^2), started wide so that an outlier cannot
 //! capture it) and integrated out by Laplace's method with the expected information (nu + 1) / ((nu + 3) s^2).
-//! Logarithms are taken of running products, so that a sample costs multiplications only.
+//!
+//! Beside the density at the candidate itself there is its bound over the candidate's cell: every residual may be
+//! smaller by as much as the map changes within the cell, |dm/dx| h_x + |dm/dy| h_y and the bend of the map over it.
+//! What the bound rules out holds no place that the density would have found.
+//!
+//! Values are in units of the sensor's standard deviation, so that single precision suffices for the samples; sums over
+//! samples are in double precision.
 
-use super::model::Level;
-use super::patch::Patch;
+use std::ops::Range;
+
+use super::model::{LEVELS, Level};
+use super::patch::{Corners, Patch};
 
 /// Candidates handled together, so that the inner loops are vectors.
 pub(super) const LANES: usize = 16;
 /// Multipliers of the variance in successive reweightings.
-const WIDENING: [f64; 5] = [400.0, 25.0, 4.0, 1.0, 1.0];
-/// Factors multiplied before a logarithm is taken; each lies between 1e-18 and 1e20.
-const PRODUCT: usize = 8;
+const WIDENING: [f32; 4] = [100.0, 9.0, 1.0, 1.0];
+/// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
+const PRODUCT: usize = 4;
+/// Largest factor of such a product: beyond it a candidate is dead whatever the rest says.
+const LARGEST: f32 = 1e9;
 /// Most nuisance parameters: bias, heading, scale, drift east and north.
 const MOST: usize = 5;
+/// Most rows of the lattice in one block up to which the map is read in rows.
+const RUNS: usize = 3;
+/// Share of a sample inside its cell's reach in the step of a bound's bias: it does not pull, but must not let go at once.
+const INSIDE: f32 = 0.3;
 
-type Lane = [f64; LANES];
+type Lane = [f32; LANES];
+type Wide = [f64; LANES];
 
 /// What the kernel needs to know beside the map.
 #[derive(Debug, Clone)]
 pub(super) struct Setup<'a> {
     pub patch: &'a Patch,
-    /// Indicated positions, map units, on the map's own turn of longitude.
-    pub positions: &'a [[f64; 2]],
-    /// Measured values minus the patch's level.
-    pub values: &'a [f64],
+    /// Indicated positions in cells of the patch.
+    pub places: &'a [[f64; 2]],
+    /// Measured values minus the patch's level, value units.
+    pub values: &'a [f32],
+    /// One over the unit of the residuals, value units.
+    pub per_unit: f32,
     /// Metres per cell of the map, `[east, north]`.
-    pub cell_m: [f64; 2],
-    /// Half the lattice step and the position jitter as one standard deviation per axis, metres squared.
-    pub blur_m2: [f64; 2],
-    pub sensor_variance: f64,
+    pub cell_m: [f32; 2],
+    /// Half the lattice step in cells: the reach of a bound.
+    pub half_cells: [f32; 2],
+    /// The lattice step and the position jitter as one standard deviation per axis, metres squared.
+    pub blur_m2: [f32; 2],
+    /// In units squared.
+    pub sensor_variance: f32,
     pub levels: &'a [Level],
-    /// None: no bias at all; infinite: unknown without bound.
+    /// None: no bias at all; infinite: unknown without bound. In units.
     pub bias_sigma: Option<f64>,
-    /// Displacement shapes and prior sigmas of the other nuisance parameters.
-    pub shapes: &'a [Vec<[f64; 2]>],
-    pub sigmas: &'a [f64],
-    /// Whether those are solved for, or only widen the variance.
-    pub solve: bool,
+    /// Displacement in metres per standard deviation of every other nuisance parameter: `shapes[parameter][sample]`.
+    pub shapes: &'a [Vec<[f32; 2]>],
     pub min_overlap: f64,
 }
 
@@ -47,99 +64,163 @@ pub(super) struct Setup<'a> {
 #[derive(Debug, Clone)]
 pub(super) struct Scores {
     /// `[level][lane]`, minus infinity where too few samples lie on the map.
-    pub log_likelihood: Vec<Lane>,
+    pub log_likelihood: [Wide; LEVELS],
     pub distance: Lane,
-    /// Mean map variance along the track.
+    /// Mean map variance along the track, units squared.
     pub map_variance: Lane,
 }
+
+/// Rows of one sample for a block of candidates.
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    residual: Lane,
+    map_variance: Lane,
+    extra_variance: Lane,
+    known: Lane,
+    precision: Lane,
+    distance: Lane,
+    /// Per metre.
+    gradient: [Lane; 2],
+    /// What the residual may change by within the candidate's cell.
+    reach: Lane,
+}
+
+const EMPTY: Row = Row {
+    residual: [0.0; LANES],
+    map_variance: [0.0; LANES],
+    extra_variance: [1.0; LANES],
+    known: [0.0; LANES],
+    precision: [0.0; LANES],
+    distance: [0.0; LANES],
+    gradient: [[0.0; LANES]; 2],
+    reach: [0.0; LANES],
+};
 
 /// Room for one block of candidates, reused from block to block.
 #[derive(Debug, Default)]
 pub(super) struct Scratch {
-    residual: Vec<Lane>,
-    map_variance: Vec<Lane>,
-    extra_variance: Vec<Lane>,
-    known: Vec<Lane>,
-    precision: Vec<Lane>,
-    gradient: Vec<[Lane; 2]>,
+    rows: Vec<Row>,
 }
 
-/// Scores the candidates `offsets` (at most [`LANES`]; map units).
-pub(super) fn score(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) -> Scores {
-    fill(setup, offsets, scratch);
-    pulp::Arch::new().dispatch(Block { setup, scratch })
+/// Scores the candidates `offsets` (at most [`LANES`]; cells of the map) under the given levels: their density, or with
+/// `BOUND` a bound over the cell of each. The other levels are minus infinity.
+pub(super) fn score<const BOUND: bool>(
+    setup: &Setup<'_>,
+    offsets: &[[f64; 2]],
+    levels: Range<usize>,
+    scratch: &mut Scratch,
+) -> Scores {
+    pulp::Arch::new().dispatch(Block::<'_, '_, BOUND> { setup, offsets, levels, scratch })
 }
 
-struct Block<'a, 'b> {
+struct Block<'a, 'b, const BOUND: bool> {
     setup: &'a Setup<'b>,
+    offsets: &'a [[f64; 2]],
+    levels: Range<usize>,
     scratch: &'a mut Scratch,
 }
 
-impl pulp::WithSimd for Block<'_, '_> {
+impl<const BOUND: bool> pulp::WithSimd for Block<'_, '_, BOUND> {
     type Output = Scores;
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _simd: S) -> Scores {
-        evaluate(self.setup, self.scratch)
+        fill::<BOUND>(self.setup, self.offsets, self.scratch);
+        evaluate::<BOUND>(self.setup, self.levels, self.scratch)
     }
 }
 
 /// Samples the map along the track at every candidate.
-fn fill(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
-    let n = setup.positions.len();
-    for rows in [
-        &mut scratch.residual,
-        &mut scratch.map_variance,
-        &mut scratch.extra_variance,
-        &mut scratch.known,
-        &mut scratch.precision,
-    ] {
-        rows.resize(n, [0.0; LANES]);
-    }
-    scratch.gradient.resize(n, [[0.0; LANES]; 2]);
-    let [cell_east, cell_north] = setup.cell_m;
-    for k in 0..n {
-        let [x, y] = setup.positions[k];
-        for lane in 0..LANES {
-            let Some(offset) = offsets.get(lane) else {
-                scratch.known[k][lane] = 0.0;
-                scratch.extra_variance[k][lane] = 1.0;
-                continue;
-            };
-            let [px, py] = setup.patch.position(x + offset[0], y + offset[1]);
-            let sample = setup.patch.at(px, py);
-            let residual = setup.values[k] - f64::from(sample.value);
-            let (gx, gy) = (f64::from(sample.gradient[0]) / cell_east, f64::from(sample.gradient[1]) / cell_north);
-            let curved = f64::from(sample.curvature);
-            let mut extra =
-                setup.sensor_variance + curved * curved / 3.0 + gx * gx * setup.blur_m2[0] + gy * gy * setup.blur_m2[1];
-            if !setup.solve {
-                for (shape, sigma) in setup.shapes.iter().zip(setup.sigmas) {
-                    let [east, north] = shape[k];
-                    extra += ((gx * east + gy * north) * sigma).powi(2);
-                }
+#[inline(always)]
+fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
+    let n = setup.places.len();
+    scratch.rows.resize(n, EMPTY);
+    let unit = setup.per_unit;
+    let [per_east, per_north] = setup.cell_m.map(|m| unit / m);
+    let [blur_x, blur_y] = setup.blur_m2;
+    let [half_x, half_y] = setup.half_cells;
+    let half = half_x.max(half_y);
+    // Candidates one cell apart lie alike in their cells: the map is read in rows, where there are few of them.
+    let mut starts = [0_usize; RUNS];
+    let mut runs = usize::from(!offsets.is_empty());
+    for lane in 1..offsets.len() {
+        let (a, b) = (offsets[lane - 1], offsets[lane]);
+        if !(a[1] == b[1] && (b[0] - a[0] - 1.0).abs() < 1e-9) {
+            if runs < RUNS {
+                starts[runs] = lane;
             }
-            let known = residual.is_finite();
-            scratch.residual[k][lane] = if known { residual } else { 0.0 };
-            scratch.map_variance[k][lane] = if known { f64::from(sample.variance) } else { 0.0 };
-            scratch.extra_variance[k][lane] = if known { extra } else { 1.0 };
-            scratch.known[k][lane] = if known { 1.0 } else { 0.0 };
-            scratch.gradient[k][0][lane] = if known { gx } else { 0.0 };
-            scratch.gradient[k][1][lane] = if known { gy } else { 0.0 };
-            scratch.precision[k][lane] = if known { f64::from(sample.distance) } else { 0.0 };
+            runs += 1;
+        }
+    }
+    let (mut x, mut y) = ([f64::NAN; LANES], [f64::NAN; LANES]);
+    for (l, offset) in offsets.iter().enumerate() {
+        (x[l], y[l]) = (offset[0], offset[1]);
+    }
+    let mut corners = Corners::NONE;
+    let even = setup.patch.even;
+    for k in 0..n {
+        let place = setup.places[k];
+        let row = &mut scratch.rows[k];
+        let mut read = runs <= RUNS;
+        if read {
+            for &start in starts.iter().take(runs) {
+                let [x, y] = offsets[start];
+                read &= setup.patch.corners_in_row(place[0] + x, place[1] + y, start, &mut corners);
+            }
+        }
+        if !read {
+            setup.patch.corners(&x.map(|x| place[0] + x), &y.map(|y| place[1] + y), &mut corners);
+        }
+        let [a, b, e, f] = &corners.nodes;
+        let mut mixed = [[0.0_f32; LANES]; 4];
+        for (q, wanted) in [true, !even, !even, true].into_iter().enumerate() {
+            if !wanted {
+                mixed[q] = [corners.nodes[0][0][q]; LANES];
+                continue;
+            }
+            for l in 0..LANES {
+                let (u, v) = (corners.u[l], corners.v[l]);
+                let low = a[l][q] + u * (b[l][q] - a[l][q]);
+                let high = e[l][q] + u * (f[l][q] - e[l][q]);
+                mixed[q][l] = low + v * (high - low);
+            }
+        }
+        let [value, variance, distance, bend] = &mixed;
+        for l in 0..LANES {
+            let (u, v) = (corners.u[l], corners.v[l]);
+            let (low, high) = (b[l][0] - a[l][0], f[l][0] - e[l][0]);
+            let (left, right) = (e[l][0] - a[l][0], f[l][0] - b[l][0]);
+            let (gx, gy) = (low + v * (high - low), left + u * (right - left));
+            let residual = (setup.values[k] - value[l]) * unit;
+            let on = residual.is_finite() & (corners.known[l] > 0.0) & (l < offsets.len());
+            let (gx_m, gy_m) = (gx * per_east, gy * per_north);
+            let curved = 0.5 * bend[l] * (u * (1.0 - u)).max(v * (1.0 - v)) * unit;
+            let extra =
+                setup.sensor_variance + curved * curved * (1.0 / 3.0) + gx_m * gx_m * blur_x + gy_m * gy_m * blur_y;
+            row.residual[l] = if on { residual } else { 0.0 };
+            row.map_variance[l] = if on { variance[l] * unit * unit } else { 0.0 };
+            row.extra_variance[l] = if on { extra } else { 1.0 };
+            row.known[l] = if on { 1.0 } else { 0.0 };
+            row.distance[l] = if on { distance[l] } else { 0.0 };
+            row.gradient[0][l] = if on { gx_m } else { 0.0 };
+            row.gradient[1][l] = if on { gy_m } else { 0.0 };
+            if BOUND {
+                let reach = (half_x * gx.abs() + half_y * gy.abs() + half * bend[l]) * unit;
+                row.reach[l] = if on { reach } else { 0.0 };
+            }
         }
     }
 }
 
 #[inline(always)]
-fn evaluate(setup: &Setup<'_>, scratch: &mut Scratch) -> Scores {
-    let n = setup.positions.len();
+fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch: &mut Scratch) -> Scores {
+    let n = setup.places.len();
     let (mut count, mut distance, mut map_variance) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-    for k in 0..n {
+    for row in &scratch.rows {
         for l in 0..LANES {
-            count[l] += scratch.known[k][l];
-            distance[l] += scratch.precision[k][l];
-            map_variance[l] += scratch.map_variance[k][l];
+            count[l] += row.known[l];
+            distance[l] += row.distance[l];
+            map_variance[l] += row.map_variance[l];
         }
     }
     for l in 0..LANES {
@@ -147,43 +228,60 @@ fn evaluate(setup: &Setup<'_>, scratch: &mut Scratch) -> Scores {
         map_variance[l] /= count[l].max(1.0);
     }
     let needed = (setup.min_overlap * n as f64).max(1.0);
-    let mut out = Vec::with_capacity(setup.levels.len());
+    let mut out = [[f64::NEG_INFINITY; LANES]; LEVELS];
     let mut bias = [0.0; LANES];
-    let solve = setup.solve && !setup.shapes.is_empty();
-    for (index, level) in setup.levels.iter().enumerate() {
-        let mut lane = weigh(scratch, level.factor * level.factor);
-        let starts = if index == 0 { &WIDENING[..] } else { &WIDENING[2..] };
-        if solve {
-            solve_all(setup, scratch, level.nu, &mut lane);
+    let first = levels.start;
+    for index in levels {
+        let level = &setup.levels[index];
+        let mut lane = weigh(scratch, (level.factor * level.factor) as f32);
+        if setup.shapes.is_empty() {
+            let starts = if index == first { &WIDENING[..] } else { &WIDENING[1..] };
+            one_bias::<BOUND>(setup, scratch, level.nu as f32, starts, &mut bias, &mut lane);
         } else {
-            one_bias(setup, scratch, level.nu, starts, &mut bias, &mut lane);
+            let (_, log) = nuisances::<BOUND>(setup, scratch, level.nu as f32);
+            for l in 0..LANES {
+                lane[l] += log[l];
+            }
         }
         for l in 0..LANES {
             // A candidate that misses a few samples is judged by those that it has, as if there were all.
-            lane[l] = if count[l] >= needed { lane[l] * (n as f64 / count[l].max(1.0)) } else { f64::NEG_INFINITY };
+            let count = f64::from(count[l]);
+            out[index][l] = if count >= needed { lane[l] * (n as f64 / count.max(1.0)) } else { f64::NEG_INFINITY };
         }
-        out.push(lane);
     }
     Scores { log_likelihood: out, distance, map_variance }
 }
 
+/// Natural logarithm of positive normal numbers to 2e-7: exponent and the series of 2 artanh((m - 1) / (m + 1)).
+#[inline(always)]
+fn logarithm(x: f32) -> f32 {
+    let bits = x.to_bits();
+    // Mantissa brought to [sqrt 1/2, sqrt 2).
+    let shifted = bits.wrapping_sub(0x3f35_04f3);
+    let exponent = (shifted as i32) >> 23;
+    let m = f32::from_bits(bits.wrapping_sub((exponent << 23) as u32));
+    let s = (m - 1.0) / (m + 1.0);
+    let s2 = s * s;
+    let series = s * (2.0 + s2 * (2.0 / 3.0 + s2 * (0.4 + s2 * (2.0 / 7.0 + s2 * (2.0 / 9.0)))));
+    exponent as f32 * std::f32::consts::LN_2 + series
+}
+
 /// Fills the precisions 1 / s^2 and returns minus half the sum of ln s^2.
 #[inline(always)]
-fn weigh(scratch: &mut Scratch, level2: f64) -> Lane {
-    let n = scratch.residual.len();
+fn weigh(scratch: &mut Scratch, level2: f32) -> Wide {
+    let n = scratch.rows.len();
     let mut total = [0.0; LANES];
-    let mut product = [1.0; LANES];
-    for k in 0..n {
+    let mut product = [1.0_f32; LANES];
+    for (k, row) in scratch.rows.iter_mut().enumerate() {
         for l in 0..LANES {
-            let known = scratch.known[k][l];
-            let variance = scratch.extra_variance[k][l] + level2 * scratch.map_variance[k][l];
-            scratch.precision[k][l] = known / variance;
+            let variance = row.extra_variance[l] + level2 * row.map_variance[l];
+            row.precision[l] = row.known[l] / variance;
             // An unknown sample has variance 1 here, so it changes nothing.
-            product[l] *= variance;
+            product[l] *= variance.clamp(1.0 / LARGEST, LARGEST);
         }
         if k % PRODUCT == PRODUCT - 1 || k + 1 == n {
             for l in 0..LANES {
-                total[l] -= 0.5 * product[l].ln();
+                total[l] -= 0.5 * f64::from(logarithm(product[l]));
                 product[l] = 1.0;
             }
         }
@@ -191,178 +289,253 @@ fn weigh(scratch: &mut Scratch, level2: f64) -> Lane {
     total
 }
 
+/// What of a residual is left when it may change by `reach` either way.
+#[inline(always)]
+fn beyond<const BOUND: bool>(e: f32, reach: f32) -> f32 {
+    if BOUND { e - e.min(reach).max(-reach) } else { e }
+}
+
 /// Adds the log of the Student-t product with the bias integrated out.
 #[inline(always)]
-fn one_bias(setup: &Setup<'_>, scratch: &Scratch, nu: f64, widening: &[f64], bias: &mut Lane, total: &mut Lane) {
-    let n = scratch.residual.len();
-    let prior = setup.bias_sigma.map(|s| if s.is_finite() { 1.0 / (s * s) } else { 0.0 });
+fn one_bias<const BOUND: bool>(
+    setup: &Setup<'_>,
+    scratch: &Scratch,
+    nu: f32,
+    widening: &[f32],
+    bias: &mut Lane,
+    total: &mut Wide,
+) {
+    let n = scratch.rows.len();
+    let prior = setup.bias_sigma.map(|s| if s.is_finite() { (1.0 / (s * s)) as f32 } else { 0.0 });
     if let Some(prior) = prior {
-        for &wide in widening {
-            let (mut weights, mut sums) = ([0.0; LANES], [0.0; LANES]);
-            for k in 0..n {
+        for (turn, &wide) in widening.iter().enumerate() {
+            let last = turn + 2 >= widening.len();
+            let (mut weights, mut sums) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+            let scale = (nu + 1.0) * wide;
+            for row in &scratch.rows {
                 for l in 0..LANES {
-                    let e = scratch.residual[k][l] - bias[l];
-                    let p = scratch.precision[k][l];
-                    let w = (nu + 1.0) * p / (nu * wide + e * e * p) * wide;
-                    weights[l] += w;
-                    sums[l] += w * e;
+                    let whole = row.residual[l] - bias[l];
+                    let p = row.precision[l];
+                    if BOUND {
+                        // Started on the residuals themselves, each as wide as its reach, then on what is beyond it.
+                        let (e, p, share) = if last {
+                            let e = beyond::<true>(whole, row.reach[l]);
+                            (e, p, if e == 0.0 { INSIDE } else { 1.0 })
+                        } else {
+                            (whole, p / (1.0 + p * row.reach[l] * row.reach[l] * (1.0 / 3.0)), 1.0)
+                        };
+                        let w = scale * p / (nu * wide + e * e * p);
+                        weights[l] += w * share;
+                        sums[l] += w * e;
+                    } else {
+                        let w = scale * p / (nu * wide + whole * whole * p);
+                        weights[l] += w;
+                        sums[l] += w * whole;
+                    }
                 }
             }
             for l in 0..LANES {
-                let step = (sums[l] - prior * bias[l]) / (weights[l] + prior).max(f64::MIN_POSITIVE);
-                bias[l] += step;
+                bias[l] += (sums[l] - prior * bias[l]) / (weights[l] + prior).max(f32::MIN_POSITIVE);
             }
         }
     }
-    let mut product = [1.0; LANES];
-    let mut logs = [0.0; LANES];
-    let mut information = [0.0; LANES];
-    for k in 0..n {
+    let mut product = [1.0_f32; LANES];
+    let mut logs = [0.0_f64; LANES];
+    let mut information = [0.0_f32; LANES];
+    let per_nu = 1.0 / nu;
+    for (k, row) in scratch.rows.iter().enumerate() {
         for l in 0..LANES {
-            let e = scratch.residual[k][l] - bias[l];
-            let p = scratch.precision[k][l];
-            product[l] *= 1.0 + e * e * p / nu;
+            let e = beyond::<BOUND>(row.residual[l] - bias[l], row.reach[l]);
+            let p = row.precision[l];
+            product[l] *= (1.0 + e * e * p * per_nu).min(LARGEST);
             information[l] += p;
         }
         if k % PRODUCT == PRODUCT - 1 || k + 1 == n {
             for l in 0..LANES {
-                logs[l] += product[l].ln();
+                logs[l] += f64::from(logarithm(product[l]));
                 product[l] = 1.0;
             }
         }
     }
+    let (nu, expected) = (f64::from(nu), (nu + 1.0) / (nu + 3.0));
     for l in 0..LANES {
         total[l] -= 0.5 * (nu + 1.0) * logs[l];
         if let Some(prior) = prior {
-            let curvature = information[l] * (nu + 1.0) / (nu + 3.0) + prior;
-            total[l] -= 0.5 * (bias[l] * bias[l] * prior + curvature.max(f64::MIN_POSITIVE).ln());
+            let curvature = (information[l] * expected + prior).max(f32::MIN_POSITIVE);
+            total[l] -= 0.5 * f64::from(bias[l] * bias[l] * prior + logarithm(curvature));
             if prior > 0.0 {
-                total[l] += 0.5 * prior.ln();
+                total[l] += 0.5 * f64::from(prior).ln();
             }
         }
     }
 }
 
-/// Adds the log of the Student-t product with the bias and all other nuisance parameters integrated out.
-fn solve_all(setup: &Setup<'_>, scratch: &Scratch, nu: f64, total: &mut Lane) {
-    for (l, total) in total.iter_mut().enumerate() {
-        let (_, log) = nuisances(setup, scratch, nu, l);
-        *total += log;
+/// Derivatives of one sample's residual by the nuisance parameters, bias first where there is one.
+#[inline(always)]
+fn derivatives(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usize, h: &mut [Lane; MOST]) {
+    if with_bias == 1 {
+        h[0] = [1.0; LANES];
+    }
+    for (i, shape) in setup.shapes.iter().enumerate() {
+        let [east, north] = shape[k];
+        for l in 0..LANES {
+            h[with_bias + i][l] = row.gradient[0][l] * east + row.gradient[1][l] * north;
+        }
     }
 }
 
-/// The most likely nuisance parameters of one candidate (bias first, where there is one) and the log of the integral.
-fn nuisances(setup: &Setup<'_>, scratch: &Scratch, nu: f64, lane: usize) -> ([f64; MOST], f64) {
-    let n = scratch.residual.len();
+/// The most likely nuisance parameters (bias first, where there is one; the others in standard deviations) and the log
+/// of the Student-t product with all of them integrated out.
+#[inline(always)]
+fn nuisances<const BOUND: bool>(setup: &Setup<'_>, scratch: &Scratch, nu: f32) -> ([Wide; MOST], Wide) {
+    let n = scratch.rows.len();
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let size = with_bias + setup.shapes.len();
-    let mut prior = [0.0; MOST];
+    let size = (with_bias + setup.shapes.len()).min(MOST);
+    // Standard deviations are the unit of all but the bias.
+    let mut prior = [1.0_f64; MOST];
     if let Some(s) = setup.bias_sigma {
         prior[0] = if s.is_finite() { 1.0 / (s * s) } else { 0.0 };
     }
-    for (i, sigma) in setup.sigmas.iter().enumerate() {
-        prior[with_bias + i] = 1.0 / (sigma * sigma);
-    }
-    let row = |k: usize| {
-        let mut h = [0.0; MOST];
-        h[0] = 1.0;
-        for (i, shape) in setup.shapes.iter().enumerate() {
-            let [east, north] = shape[k];
-            h[with_bias + i] = scratch.gradient[k][0][lane] * east + scratch.gradient[k][1][lane] * north;
-        }
-        h
-    };
-    let mut theta = [0.0; MOST];
-    let normal = |theta: &[f64; MOST], weight: &dyn Fn(f64, f64) -> f64| {
-        let mut matrix = [[0.0; MOST]; MOST];
-        let mut right = [0.0; MOST];
-        for k in 0..n {
-            let p = scratch.precision[k][lane];
-            let h = row(k);
-            let e = scratch.residual[k][lane] - (0..size).map(|i| h[i] * theta[i]).sum::<f64>();
-            let w = weight(e, p);
+    let mut theta = [[0.0_f64; LANES]; MOST];
+    let mut h = [[0.0_f32; LANES]; MOST];
+    let mut matrix = [[[0.0_f64; LANES]; MOST]; MOST];
+    let mut right = [[0.0_f64; LANES]; MOST];
+    for (turn, wide) in WIDENING.into_iter().chain([0.0]).enumerate() {
+        let expected = turn == WIDENING.len();
+        let last = turn + 2 >= WIDENING.len();
+        let at = theta.map(|t| t.map(|v| v as f32));
+        let mut sums = [[[0.0_f32; LANES]; MOST]; MOST];
+        let mut pulls = [[0.0_f32; LANES]; MOST];
+        for (k, row) in scratch.rows.iter().enumerate() {
+            derivatives(setup, row, k, with_bias, &mut h);
+            let (mut weight, mut pull) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+            for l in 0..LANES {
+                let mut e = row.residual[l];
+                for i in 0..size {
+                    e -= h[i][l] * at[i][l];
+                }
+                let p = row.precision[l];
+                if expected {
+                    weight[l] = p * (nu + 1.0) / (nu + 3.0);
+                } else if BOUND && !last {
+                    let p = p / (1.0 + p * row.reach[l] * row.reach[l] * (1.0 / 3.0));
+                    weight[l] = (nu + 1.0) * p * wide / (nu * wide + e * e * p);
+                    pull[l] = weight[l] * e;
+                } else {
+                    e = beyond::<BOUND>(e, row.reach[l]);
+                    let w = (nu + 1.0) * p * wide / (nu * wide + e * e * p);
+                    pull[l] = w * e;
+                    weight[l] = if BOUND && e == 0.0 { INSIDE * w } else { w };
+                }
+            }
             for i in 0..size {
-                right[i] += w * e * h[i];
+                for l in 0..LANES {
+                    pulls[i][l] += pull[l] * h[i][l];
+                }
                 for j in 0..=i {
-                    matrix[i][j] += w * h[i] * h[j];
+                    for l in 0..LANES {
+                        sums[i][j][l] += weight[l] * h[i][l] * h[j][l];
+                    }
                 }
             }
         }
         for i in 0..size {
-            matrix[i][i] += prior[i];
-            right[i] -= prior[i] * theta[i];
+            for l in 0..LANES {
+                right[i][l] = f64::from(pulls[i][l]) - prior[i] * theta[i][l];
+                for j in 0..=i {
+                    matrix[i][j][l] = f64::from(sums[i][j][l]);
+                }
+                matrix[i][i][l] += prior[i];
+            }
         }
-        (matrix, right)
-    };
-    for wide in WIDENING {
-        let (matrix, right) = normal(&theta, &|e, p| (nu + 1.0) * p * wide / (nu * wide + e * e * p));
-        if let Some((step, _)) = cholesky_solve(matrix, right, size) {
+        factorise(&mut matrix, size);
+        if !expected {
+            solve(&matrix, &mut right, size);
             for i in 0..size {
-                theta[i] += step[i];
+                for l in 0..LANES {
+                    theta[i][l] += right[i][l];
+                }
             }
         }
     }
-    let mut log = 0.0;
-    for k in 0..n {
-        let h = row(k);
-        let e = scratch.residual[k][lane] - (0..size).map(|i| h[i] * theta[i]).sum::<f64>();
-        log -= 0.5 * (nu + 1.0) * (e * e * scratch.precision[k][lane] / nu).ln_1p();
-    }
-    let (matrix, right) = normal(&theta, &|_, p| p * (nu + 1.0) / (nu + 3.0));
-    if let Some((_, log_determinant)) = cholesky_solve(matrix, right, size) {
-        log -= 0.5 * log_determinant;
+    let at = theta.map(|t| t.map(|v| v as f32));
+    let mut product = [1.0_f32; LANES];
+    let mut log = [0.0_f64; LANES];
+    for (k, row) in scratch.rows.iter().enumerate() {
+        derivatives(setup, row, k, with_bias, &mut h);
+        for l in 0..LANES {
+            let mut e = row.residual[l];
+            for i in 0..size {
+                e -= h[i][l] * at[i][l];
+            }
+            let e = beyond::<BOUND>(e, row.reach[l]);
+            product[l] *= (1.0 + e * e * row.precision[l] / nu).min(LARGEST);
+        }
+        if k % PRODUCT == PRODUCT - 1 || k + 1 == n {
+            for l in 0..LANES {
+                log[l] -= 0.5 * f64::from(nu + 1.0) * f64::from(logarithm(product[l]));
+                product[l] = 1.0;
+            }
+        }
     }
     for i in 0..size {
-        log -= 0.5 * prior[i] * theta[i] * theta[i];
-        if prior[i] > 0.0 {
-            log += 0.5 * prior[i].ln();
+        for l in 0..LANES {
+            log[l] -= matrix[i][i][l].ln() + 0.5 * prior[i] * theta[i][l] * theta[i][l];
+            if prior[i] > 0.0 {
+                log[l] += 0.5 * prior[i].ln();
+            }
         }
     }
     (theta, log)
 }
 
-/// Solution and log determinant of a small symmetric system given by its lower triangle.
-fn cholesky_solve(mut a: [[f64; MOST]; MOST], b: [f64; MOST], size: usize) -> Option<([f64; MOST], f64)> {
-    let mut log_determinant = 0.0;
+/// Cholesky factor of a small symmetric matrix in its own lower triangle, lane by lane.
+///
+/// A pivot that rounding has made zero or negative, of a lane without known samples, is taken as tiny.
+#[inline(always)]
+fn factorise(a: &mut [[Wide; MOST]; MOST], size: usize) {
     for i in 0..size {
         for j in 0..=i {
             let mut sum = a[i][j];
             for k in 0..j {
-                sum -= a[i][k] * a[j][k];
-            }
-            if i == j {
-                if sum <= 0.0 || !sum.is_finite() {
-                    return None;
+                for l in 0..LANES {
+                    sum[l] -= a[i][k][l] * a[j][k][l];
                 }
-                a[i][i] = sum.sqrt();
-                log_determinant += sum.ln();
-            } else {
-                a[i][j] = sum / a[j][j];
+            }
+            for l in 0..LANES {
+                a[i][j][l] = if i == j { sum[l].max(1e-30).sqrt() } else { sum[l] / a[j][j][l] };
             }
         }
     }
-    let mut x = b;
+}
+
+/// Solves for the right-hand side in place.
+#[inline(always)]
+fn solve(a: &[[Wide; MOST]; MOST], x: &mut [Wide; MOST], size: usize) {
     for i in 0..size {
-        for k in 0..i {
-            x[i] -= a[i][k] * x[k];
+        for l in 0..LANES {
+            for k in 0..i {
+                x[i][l] -= a[i][k][l] * x[k][l];
+            }
+            x[i][l] /= a[i][i][l];
         }
-        x[i] /= a[i][i];
     }
     for i in (0..size).rev() {
-        for k in i + 1..size {
-            x[i] -= a[k][i] * x[k];
+        for l in 0..LANES {
+            for k in i + 1..size {
+                x[i][l] -= a[k][i][l] * x[k][l];
+            }
+            x[i][l] /= a[i][i][l];
         }
-        x[i] /= a[i][i];
     }
-    Some((x, log_determinant))
 }
 
 /// What one candidate looks like under one error level.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Detail {
-    /// Measured minus map constant.
+    /// Measured minus map constant, units.
     pub bias: f64,
-    /// Nuisance parameters beside the bias, in the setup's order.
+    /// Nuisance parameters beside the bias, in the setup's order, standard deviations.
     pub theta: [f64; MOST],
     /// Mean of (nu + 1) z^2 / (nu + z^2), 1 where the model holds.
     pub misfit: f64,
@@ -372,36 +545,32 @@ pub(super) struct Detail {
     pub information: [f64; 3],
 }
 
-/// Looks closely at one candidate under one error level.
+/// Looks closely at one candidate (cells of the map) under one error level.
 pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
-    fill(setup, &[offset], scratch);
-    weigh(scratch, level.factor * level.factor);
-    let (theta, _) = nuisances(setup, scratch, level.nu, 0);
+    fill::<false>(setup, &[offset], scratch);
+    weigh(scratch, (level.factor * level.factor) as f32);
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let n = setup.positions.len();
+    let (theta, _) = nuisances::<false>(setup, scratch, level.nu as f32);
     let nu = level.nu;
     let (mut misfit, mut known) = (0.0, 0);
     let size = with_bias + setup.shapes.len();
     // Fisher information of (offset east, north, nuisances); the Schur complement leaves that of the offset.
     let mut full = [[0.0; MOST + 2]; MOST + 2];
-    for k in 0..n {
-        let p = scratch.precision[k][0];
+    let mut derived = [[0.0; LANES]; MOST];
+    for (k, row) in scratch.rows.iter().enumerate() {
+        let p = f64::from(row.precision[0]);
         if p == 0.0 {
             continue;
         }
         known += 1;
-        let (gx, gy) = (scratch.gradient[k][0][0], scratch.gradient[k][1][0]);
+        derivatives(setup, row, k, with_bias, &mut derived);
         let mut h = [0.0; MOST + 2];
-        h[0] = gx;
-        h[1] = gy;
-        if with_bias == 1 {
-            h[2] = 1.0;
-        }
-        let mut e = scratch.residual[k][0] - if with_bias == 1 { theta[0] } else { 0.0 };
-        for (i, shape) in setup.shapes.iter().enumerate() {
-            let [east, north] = shape[k];
-            h[2 + with_bias + i] = gx * east + gy * north;
-            e -= h[2 + with_bias + i] * theta[with_bias + i];
+        h[0] = f64::from(row.gradient[0][0]);
+        h[1] = f64::from(row.gradient[1][0]);
+        let mut e = f64::from(row.residual[0]);
+        for i in 0..size {
+            h[2 + i] = f64::from(derived[i][0]);
+            e -= h[2 + i] * theta[i][0];
         }
         misfit += (nu + 1.0) * e * e * p / (nu + e * e * p);
         for i in 0..size + 2 {
@@ -415,14 +584,16 @@ pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch:
     {
         full[2][2] += 1.0 / (s * s);
     }
-    for (i, sigma) in setup.sigmas.iter().enumerate() {
-        full[2 + with_bias + i][2 + with_bias + i] += 1.0 / (sigma * sigma);
+    for i in 0..setup.shapes.len() {
+        full[2 + with_bias + i][2 + with_bias + i] += 1.0;
     }
     let information = schur(full, size);
     let mut rest = [0.0; MOST];
-    rest[..setup.shapes.len()].copy_from_slice(&theta[with_bias..with_bias + setup.shapes.len()]);
+    for i in 0..setup.shapes.len() {
+        rest[i] = theta[with_bias + i][0];
+    }
     Detail {
-        bias: if with_bias == 1 { theta[0] } else { 0.0 },
+        bias: if with_bias == 1 { theta[0][0] } else { 0.0 },
         theta: rest,
         misfit: misfit / f64::from(known.max(1)),
         known: known as usize,

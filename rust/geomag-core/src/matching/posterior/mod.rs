@@ -18,8 +18,8 @@
 //! series, Bartlett, J. Roy. Stat. Soc. 98 (1935) 536. The error model of gridded surveys is geomag's own.
 
 // Formulas read better without code marks; lanes and small matrices are indexed as the formulas are; what is dispatched to an
-// instruction set must be inlined there.
-#![allow(clippy::doc_markdown, clippy::needless_range_loop, clippy::inline_always)]
+// instruction set must be inlined there; lanes are masks, without branches.
+#![allow(clippy::doc_markdown, clippy::needless_range_loop, clippy::inline_always, clippy::needless_bitwise_bool)]
 
 mod decide;
 mod kernel;

@@ -19,6 +19,9 @@ const DEFAULT_REGISTRATION: f64 = 0.15;
 /// be a smooth field known exactly or a sparse survey. Exactness must earn its place.
 const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, -4.0), (0.1, -3.5), (0.33, -1.5), (1.0, 0.0), (3.0, -1.0)];
 
+/// Most error levels of one channel.
+pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len();
+
 /// Options of the posterior matchers. [`PosteriorOptions::new`] gives defaults that need no tuning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PosteriorOptions {
@@ -197,12 +200,25 @@ impl Noise {
     }
 }
 
+impl Noise {
+    /// The level in the middle.
+    pub fn middle(&self) -> usize {
+        self.levels.len() / 2
+    }
+
+    /// Displacement of features common to a whole track, per axis, metres.
+    pub fn displacement(&self, distance: f64, level: &Level) -> f64 {
+        self.registration * distance * if self.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
+    }
+}
+
 /// What is common to all samples of a track and is not the offset: priors of heading, scale and drift.
 #[derive(Debug, Clone)]
 pub(super) struct Nuisance {
-    /// Displacement in metres `[east, north]` of every sample per unit of each parameter: `shapes[parameter][sample]`.
-    pub shapes: Vec<Vec<[f64; 2]>>,
-    /// Their prior standard deviations.
+    /// Displacement in metres `[east, north]` of every sample per prior standard deviation of each parameter:
+    /// `shapes[parameter][sample]`.
+    pub shapes: Vec<Vec<[f32; 2]>>,
+    /// The prior standard deviations.
     pub sigmas: Vec<f64>,
 }
 
@@ -214,7 +230,7 @@ impl Nuisance {
         let mut sigmas = Vec::new();
         let mut push = |sigma: f64, shape: &dyn Fn(usize) -> [f64; 2]| {
             if sigma > 0.0 {
-                shapes.push((0..away_m.len()).map(shape).collect());
+                shapes.push((0..away_m.len()).map(|k| shape(k).map(|v| (sigma * v) as f32)).collect());
                 sigmas.push(sigma);
             }
         };

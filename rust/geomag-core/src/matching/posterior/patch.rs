@@ -1,5 +1,6 @@
 //! The part of a map that a search can touch, laid out for the kernel: value, error variance and distance to data.
 
+use super::kernel::LANES;
 use crate::field::Field;
 use crate::grid::MapSigma;
 use crate::map_error::DistanceLayer;
@@ -27,6 +28,8 @@ pub(super) struct Patch {
     nodes: Vec<[f32; 4]>,
     /// Value subtracted from every node, so that single precision suffices.
     pub level: f64,
+    /// Whether error variance and distance are the same at every node.
+    pub even: bool,
 }
 
 /// One interpolated point.
@@ -39,6 +42,21 @@ pub(super) struct Sample {
     pub gradient: [f32; 2],
     /// What a curve through the nodes would differ by from the straight line between them.
     pub curvature: f32,
+}
+
+/// The four nodes around each of [`LANES`] places: lower left, lower right, upper left, upper right.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Corners {
+    pub nodes: [[[f32; 4]; LANES]; 4],
+    /// Place between the nodes, 0 to 1.
+    pub u: [f32; LANES],
+    pub v: [f32; LANES],
+    pub known: [f32; LANES],
+}
+
+impl Corners {
+    pub const NONE: Self =
+        Self { nodes: [[[0.0; 4]; LANES]; 4], u: [0.0; LANES], v: [0.0; LANES], known: [0.0; LANES] };
 }
 
 impl Patch {
@@ -60,7 +78,8 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let mut patch = Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level };
+        let mut patch =
+            Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level, even: false };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
         let map_columns = grid.map_or(0, |g| g.x().len());
         for r in 0..rows {
@@ -92,6 +111,8 @@ impl Patch {
         if grid.is_some_and(|g| g.map_sigma().is_none()) {
             patch.fill_default_variance([step[0] * east / cell_m, step[1] * north / cell_m]);
         }
+        let first = patch.nodes[0];
+        patch.even = patch.nodes.iter().all(|node| node[1] == first[1] && node[2] == first[2]);
         patch
     }
 
@@ -194,6 +215,67 @@ impl Patch {
         let gy = (e[0] - a[0]) + u * ((f[0] - b[0]) - (e[0] - a[0]));
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
         Sample { value, variance, distance, gradient: [gx, gy], curvature }
+    }
+
+    /// The nodes around [`LANES`] places (cells of the patch), and where the places lie between them; places that are
+    /// not on the patch are marked unknown.
+    #[inline(always)]
+    pub fn corners(&self, px: &[f64; LANES], py: &[f64; LANES], out: &mut Corners) {
+        let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
+        let (most_c, most_r) = (self.columns.saturating_sub(2) as i32, self.rows.saturating_sub(2) as i32);
+        let columns = self.columns as i32;
+        let mut index = [0_i32; LANES];
+        for l in 0..LANES {
+            let (x, y) = (px[l], py[l]);
+            let inside = (x >= -NODE_TOLERANCE)
+                & (y >= -NODE_TOLERANCE)
+                & (x <= last_column + NODE_TOLERANCE)
+                & (y <= last_row + NODE_TOLERANCE);
+            let (c, r) = ((x.max(0.0) as i32).min(most_c), (y.max(0.0) as i32).min(most_r));
+            out.u[l] = (x - f64::from(c)) as f32;
+            out.v[l] = (y - f64::from(r)) as f32;
+            out.known[l] = if inside { 1.0 } else { 0.0 };
+            index[l] = r * columns + c;
+        }
+        for l in 0..LANES {
+            let i = index[l] as usize;
+            let (Some(&[a, b]), Some(&[e, f])) = (
+                self.nodes.get(i..).and_then(|s| s.first_chunk::<2>()),
+                self.nodes.get(i + self.columns..).and_then(|s| s.first_chunk::<2>()),
+            ) else {
+                out.known[l] = 0.0;
+                continue;
+            };
+            (out.nodes[0][l], out.nodes[1][l], out.nodes[2][l], out.nodes[3][l]) = (a, b, e, f);
+        }
+    }
+
+    /// [`Patch::corners`] for places one cell apart along x from lane `start` on, the first at (`px`, `py`); the lanes before
+    /// it are left alone. `false`, with nothing done, where that would leave the patch.
+    #[inline(always)]
+    pub fn corners_in_row(&self, px: f64, py: f64, start: usize, out: &mut Corners) -> bool {
+        let inside =
+            px >= 0.0 && py >= 0.0 && px + LANES as f64 <= (self.columns - 1) as f64 && py < (self.rows - 1) as f64;
+        if !inside {
+            return false;
+        }
+        let (c, r) = (px as usize, py as usize);
+        let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
+        let i = r * self.columns + c;
+        let count = LANES - start;
+        let (Some(low), Some(high)) =
+            (self.nodes.get(i..=i + count), self.nodes.get(i + self.columns..=i + self.columns + count))
+        else {
+            return false;
+        };
+        out.nodes[0][start..].copy_from_slice(&low[..count]);
+        out.nodes[1][start..].copy_from_slice(&low[1..]);
+        out.nodes[2][start..].copy_from_slice(&high[..count]);
+        out.nodes[3][start..].copy_from_slice(&high[1..]);
+        out.u[start..].fill(u);
+        out.v[start..].fill(v);
+        out.known[start..].fill(1.0);
+        true
     }
 
     /// Spacing, map units.

@@ -149,10 +149,12 @@ impl PosteriorMatcher {
             return Ok(self.step(None));
         }
         self.state.next = s.seen + (n / 2).max(1);
-        let (fix, kept) = self.solve()?;
+        let (fix, kept) = self.solve(true)?;
         self.state.status = fix.status;
         self.state.risk = fix.risk.unwrap_or(1.0);
-        self.prune(kept);
+        if let Some(kept) = kept {
+            self.prune(kept);
+        }
         Ok(self.step(Some(fix)))
     }
 
@@ -161,21 +163,21 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::TooFewSamples`] before the first sample.
     pub fn fix(&self) -> Result<Fix> {
-        Ok(self.solve()?.0)
+        Ok(self.solve(false)?.0)
     }
 
-    /// The answer, and the candidates that the first stage of its search would keep.
-    fn solve(&self) -> Result<(Fix, Vec<[f64; 2]>)> {
+    /// The answer, and the candidates that the first stage of its search would keep where it went that far: with
+    /// `coarse`, the first lattice may settle that there is no fix yet.
+    fn solve(&self, coarse: bool) -> Result<(Fix, Option<Vec<[f64; 2]>>)> {
         let s = &self.state;
         let track = self.track()?;
         if s.candidates.is_empty() {
-            return Ok((Fix::none(Status::Lost, s.x.len()), Vec::new()));
+            return Ok((Fix::none(Status::Lost, s.x.len()), None));
         }
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
         let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref().map(|(_, patch)| patch))?;
-        let first = problem.first_stage(s.candidates.iter().map(|c| c.offset).collect(), s.step);
-        let kept = first.kept();
-        let posterior = problem.refine(first);
+        let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
+        let (posterior, kept) = problem.solve_going_on(offsets, s.step, coarse);
         Ok((decide::answer(&problem, &track, &posterior), kept))
     }
 

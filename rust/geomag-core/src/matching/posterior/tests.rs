@@ -174,27 +174,144 @@ fn two_channels_are_better_than_one() {
     assert!(size(both.covariance_m2) < size(alone.covariance_m2));
 }
 
-#[test]
-fn prediction_and_outcome_agree() {
-    let map = exact();
-    let mut options = PosteriorOptions::new([500.0, 500.0]);
-    options.tolerance_m = Some(300.0);
-    let (mut nees, mut count) = (0.0, 0);
-    for seed in 0..300 {
-        let track = flight(&map, [0.0, 0.0], 30, 1.0, 5.0, seed);
-        let expected = predict(&map, &track, Some(1.0), &options, 0, 0).unwrap();
-        let fix = match_posterior(&map, &track, Some(1.0), &options).unwrap();
-        if fix.ok() {
-            let [[a, b], [_, d]] = expected.covariance_m2;
-            let e = fix.offset_m;
-            nees += (d * e[0] * e[0] - 2.0 * b * e[0] * e[1] + a * e[1] * e[1]) / (a * d - b * b);
-            count += 1;
+/// Maps of different character: rough, smooth with a trend, ridges, and one that is rough on one side and nearly flat on the other.
+fn fields() -> Vec<(&'static str, GridMap)> {
+    let draw = |value: &dyn Fn(f64, f64) -> f64| {
+        let axis: Vec<f64> = (0..121).map(|i| 100.0 * f64::from(i)).collect();
+        let values = axis.iter().flat_map(|y| axis.iter().map(move |x| value(x / 1000.0, y / 1000.0))).collect();
+        GridMap::new(GridValues::F64(values), &axis, &axis, false)
+            .unwrap()
+            .with_sigma(Some(MapSigma::Constant(0.0)))
+            .unwrap()
+    };
+    vec![
+        ("rough", exact()),
+        (
+            "smooth",
+            draw(&|x, y| 300.0 * (0.5 * x).sin() * (0.4 * y).cos() + 30.0 * (1.1 * x - 0.9 * y).sin() + 5.0 * y),
+        ),
+        ("ridges", draw(&|x, y| 80.0 * (1.9 * (x + 0.3 * y)).sin() + 25.0 * (2.3 * y + 0.4 * x).cos())),
+        ("uneven", uneven()),
+    ]
+}
+
+fn uneven() -> GridMap {
+    let axis: Vec<f64> = (0..121).map(|i| 100.0 * f64::from(i)).collect();
+    let mut values = Vec::new();
+    for y in &axis {
+        for x in &axis {
+            let (x, y) = (x / 1000.0, y / 1000.0);
+            let rough = 20.0 * (2.7 * x).sin() * (2.3 * y).cos() + 14.0 * (2.9 * x + 1.9 * y).sin();
+            values.push(rough * (0.1 + 0.5 * (1.0 + ((x - 6.0) / 0.4).tanh())) + 4.0 * (1.3 * y).sin());
         }
     }
-    assert!(count > 200, "{count}");
-    // Mean of chi-square with two degrees of freedom over `count` draws, four standard errors.
-    let mean = nees / f64::from(count);
-    assert!((mean - 2.0).abs() < 4.0 * 2.0 / f64::from(count).sqrt(), "{mean}");
+    GridMap::new(GridValues::F64(values), &axis, &axis, false)
+        .unwrap()
+        .with_sigma(Some(MapSigma::Constant(0.0)))
+        .unwrap()
+}
+
+fn nees(covariance: [[f64; 2]; 2], e: [f64; 2]) -> f64 {
+    let [[a, b], [_, d]] = covariance;
+    (d * e[0] * e[0] - 2.0 * b * e[0] * e[1] + a * e[1] * e[1]) / (a * d - b * b)
+}
+
+#[test]
+fn the_stages_find_what_one_fine_lattice_finds() {
+    // A cell changes by several times the noise in one half of the map and by less than the noise in the other: a coarse density
+    // takes the flat half, whatever is true.
+    let map = uneven();
+    let mut staged = PosteriorOptions::new([500.0, 500.0]);
+    staged.tolerance_m = Some(60.0);
+    let whole = PosteriorOptions { step: Some([6.25, 6.25]), ..staged.clone() };
+    // Away from the border, over which the stages reach by half a cell to see what lies beyond it.
+    let mut rng = Pcg64Mcg::seed_from_u64(5);
+    let (mut sure, mut worst) = (0, 0.0_f64);
+    for seed in 0..60 {
+        let offset = [rng.random_range(-320.0..320.0), rng.random_range(-320.0..320.0)];
+        let track = flight(&map, offset, 18, 1.5, 0.0, seed);
+        let a = match_posterior(&map, &track, Some(1.5), &staged).unwrap();
+        let b = match_posterior(&map, &track, Some(1.5), &whole).unwrap();
+        let (ra, rb) = (a.risk.unwrap(), b.risk.unwrap());
+        // Above that the stages may end early: nothing is declared there.
+        if ra.min(rb) < 0.1 {
+            worst = worst.max((ra - rb).abs());
+            assert!((ra - rb).abs() < 0.04, "seed {seed}: risk {ra} in stages, {rb} at once");
+        }
+        if rb < 0.05 {
+            sure += 1;
+            let apart = (a.offset_m[0] - b.offset_m[0]).hypot(a.offset_m[1] - b.offset_m[1]);
+            assert!(apart < 6.0, "seed {seed}: {apart} m apart");
+        }
+    }
+    assert!(sure > 20, "{sure} of 60, worst {worst}");
+}
+
+#[test]
+fn the_stages_lose_nothing_when_heading_and_drift_are_unknown() {
+    let map = uneven();
+    let mut staged = PosteriorOptions::new([400.0, 400.0]);
+    staged.tolerance_m = Some(80.0);
+    staged.heading_sigma_deg = 1.0;
+    staged.drift_sigma_m = 40.0;
+    let whole = PosteriorOptions { step: Some([12.5, 12.5]), ..staged.clone() };
+    let mut rng = Pcg64Mcg::seed_from_u64(6);
+    for seed in 0..30 {
+        let offset = [rng.random_range(-220.0..220.0), rng.random_range(-220.0..220.0)];
+        let track = flight(&map, offset, 14, 1.5, 3.0, seed);
+        let a = match_posterior(&map, &track, Some(1.5), &staged).unwrap();
+        let b = match_posterior(&map, &track, Some(1.5), &whole).unwrap();
+        let (ra, rb) = (a.risk.unwrap(), b.risk.unwrap());
+        assert!(ra.min(rb) > 0.1 || (ra - rb).abs() < 0.04, "seed {seed}: risk {ra} in stages, {rb} at once");
+    }
+}
+
+#[test]
+fn errors_of_fixes_reach_the_bound() {
+    for (name, map) in fields() {
+        let mut options = PosteriorOptions::new([500.0, 500.0]);
+        options.tolerance_m = Some(200.0);
+        let (mut sum, mut count, mut declared) = (0.0, 0, 0.0);
+        for seed in 0..220 {
+            let track = flight(&map, [0.0, 0.0], 30, 1.0, 5.0, 1000 + seed);
+            let bound = predict(&map, &track, Some(1.0), &options, 0, 0).unwrap().bound_m2;
+            let fix = match_posterior(&map, &track, Some(1.0), &options).unwrap();
+            if fix.ok() {
+                sum += nees(bound, fix.offset_m);
+                declared += nees(fix.covariance_m2.unwrap(), fix.offset_m);
+                count += 1;
+            }
+        }
+        assert!(count > 120, "{name}: {count}");
+        // Root mean square error over the bound, in the bound's own metric: at most 1.15, and not below 1 by more than chance.
+        let ratio = (sum / (2.0 * f64::from(count))).sqrt();
+        let chance = 4.0 * 0.5 / f64::from(count).sqrt();
+        assert!(ratio < 1.15 && ratio > 1.0 - chance, "{name}: {ratio}");
+        let declared = declared / f64::from(count);
+        assert!((declared - 2.0).abs() < 4.0 * 2.0 / f64::from(count).sqrt(), "{name}: normalised error {declared}");
+    }
+}
+
+#[test]
+fn prediction_and_outcome_agree() {
+    for (name, map) in fields() {
+        let mut options = PosteriorOptions::new([500.0, 500.0]);
+        options.tolerance_m = Some(300.0);
+        let (mut sum, mut count) = (0.0, 0);
+        for seed in 0..160 {
+            let track = flight(&map, [0.0, 0.0], 30, 1.0, 5.0, seed);
+            let expected = predict(&map, &track, Some(1.0), &options, 0, 0).unwrap();
+            let fix = match_posterior(&map, &track, Some(1.0), &options).unwrap();
+            if fix.ok() {
+                sum += nees(expected.covariance_m2, fix.offset_m);
+                count += 1;
+            }
+        }
+        assert!(count > 100, "{name}: {count}");
+        // Mean of chi-square with two degrees of freedom over `count` draws, four standard errors.
+        let mean = sum / f64::from(count);
+        assert!((mean - 2.0).abs() < 4.0 * 2.0 / f64::from(count).sqrt(), "{name}: {mean}");
+    }
 }
 
 #[test]
