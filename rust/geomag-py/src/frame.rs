@@ -127,21 +127,25 @@ impl PyLocalFrame {
         Ok(Self { inner: LocalFrame::new(latitude_deg, longitude_deg, height_m, earth)? })
     }
 
+    /// Latitude of the origin, degrees.
     #[getter]
     fn latitude_deg(&self) -> f64 {
         self.inner.latitude_deg()
     }
 
+    /// Longitude of the origin, degrees.
     #[getter]
     fn longitude_deg(&self) -> f64 {
         self.inner.longitude_deg()
     }
 
+    /// Height of the origin, metres.
     #[getter]
     fn height_m(&self) -> f64 {
         self.inner.height_m()
     }
 
+    /// `'wgs84'` or `'sphere'`.
     #[getter]
     fn earth(&self) -> &'static str {
         match self.inner.earth() {
@@ -150,6 +154,7 @@ impl PyLocalFrame {
         }
     }
 
+    /// Radius of the sphere, metres; none on the ellipsoid.
     #[getter]
     fn radius_m(&self) -> Option<f64> {
         match self.inner.earth() {

@@ -177,6 +177,7 @@ impl PyUnscentedKalmanFilter {
         Ok(accepted)
     }
 
+    /// State, (n,).
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let mean = self.snapshot().estimate().mean().to_vec();
@@ -207,16 +208,19 @@ impl PyUnscentedKalmanFilter {
         Ok(())
     }
 
+    /// Spread of the sigma points.
     #[getter]
     fn alpha(&self) -> f64 {
         self.snapshot().scaling().alpha
     }
 
+    /// Prior knowledge of the distribution; 2 for a normal one.
     #[getter]
     fn beta(&self) -> f64 {
         self.snapshot().scaling().beta
     }
 
+    /// Secondary scaling of the sigma points.
     #[getter]
     fn kappa(&self) -> f64 {
         self.snapshot().scaling().kappa
@@ -228,6 +232,7 @@ impl PyUnscentedKalmanFilter {
         self.snapshot().innovation().map(|i| i.nis)
     }
 
+    /// Innovation of the last update, (m,); none before one.
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         residual(py, self.snapshot().innovation())
@@ -344,6 +349,7 @@ impl PyExtendedKalmanFilter {
         self.change(|filter| Ok(filter.update(&z, &expected, &h, &r, gate)?.accepted))
     }
 
+    /// State, (n,).
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let mean = self.snapshot().estimate().mean().to_vec();
@@ -378,6 +384,7 @@ impl PyExtendedKalmanFilter {
         self.snapshot().innovation().map(|i| i.nis)
     }
 
+    /// Innovation of the last update, (m,); none before one.
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         residual(py, self.snapshot().innovation())

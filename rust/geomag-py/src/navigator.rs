@@ -165,16 +165,19 @@ pub struct PyNavigatorStep {
 
 #[pymethods]
 impl PyNavigatorStep {
+    /// East or longitude, map units.
     #[getter]
     fn x(&self) -> f64 {
         self.inner.x
     }
 
+    /// North or latitude, map units.
     #[getter]
     fn y(&self) -> f64 {
         self.inner.y
     }
 
+    /// Covariance of the position, square metres, east-north.
     #[getter]
     fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.covariance_m2.as_flattened().to_vec(), &[2, 2])
@@ -186,16 +189,19 @@ impl PyNavigatorStep {
         self.inner.outcome.as_str()
     }
 
+    /// Normalised innovation squared; none where there was no reading to compare.
     #[getter]
     fn nis(&self) -> Option<f64> {
         self.inner.nis
     }
 
+    /// Numbers in that reading.
     #[getter]
     fn dof(&self) -> usize {
         self.inner.dof
     }
 
+    /// Whether the innovations say that the filter has lost its way.
     #[getter]
     fn diverged(&self) -> bool {
         self.inner.diverged
@@ -384,11 +390,13 @@ impl PyFieldNavigator {
         self.lock().position().into()
     }
 
+    /// Covariance of the position, square metres, east-north, (2, 2).
     #[getter]
     fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.lock().covariance_m2().as_flattened().to_vec(), &[2, 2])
     }
 
+    /// State, (n,): metres east and north of the start first.
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let mean = self.lock().estimate().mean().to_vec();
@@ -420,21 +428,25 @@ impl PyFieldNavigator {
         self.lock().bias()
     }
 
+    /// Whether the innovations say that the filter has lost its way.
     #[getter]
     fn diverged(&self) -> bool {
         self.lock().diverged()
     }
 
+    /// Normalised innovation squared of the last reading; none before one.
     #[getter]
     fn nis(&self) -> Option<f64> {
         self.lock().innovation().map(|i| i.nis)
     }
 
+    /// Time since the start, seconds.
     #[getter]
     fn time_s(&self) -> f64 {
         self.lock().time_s()
     }
 
+    /// Steps taken.
     #[getter]
     fn n_steps(&self) -> u64 {
         self.lock().steps()
@@ -446,6 +458,7 @@ impl PyFieldNavigator {
         self.lock().estimate().regularisations()
     }
 
+    /// What reads the field.
     #[getter]
     fn sensor(&self, py: Python<'_>) -> Py<PyFieldSensor> {
         self.sensor.clone_ref(py)

@@ -277,26 +277,31 @@ pub struct PyPosteriorStep {
 
 #[pymethods]
 impl PyPosteriorStep {
+    /// Whether a fix may be declared, and why not.
     #[getter]
     fn status(&self) -> &'static str {
         self.inner.status.as_str()
     }
 
+    /// Candidates left.
     #[getter]
     fn n_feasible(&self) -> usize {
         self.inner.n_feasible
     }
 
+    /// Extent (x, y) of the candidates left, map units.
     #[getter]
     fn extent(&self) -> (f64, f64) {
         self.inner.extent.into()
     }
 
+    /// Risk of the newest answer; 1 before there is one.
     #[getter]
     fn risk(&self) -> f64 {
         self.inner.risk
     }
 
+    /// The answer, where the posterior was taken at this sample.
     #[getter]
     fn fix(&self) -> Option<PyFix> {
         self.inner.fix.clone().map(PyFix::from)
@@ -395,11 +400,13 @@ impl PyPosteriorMatcher {
         Ok(self.inner.reset()?)
     }
 
+    /// Samples seen.
     #[getter]
     fn n_samples(&self) -> usize {
         self.inner.n_samples()
     }
 
+    /// Candidates left.
     #[getter]
     fn n_feasible(&self) -> usize {
         self.inner.n_feasible()
@@ -430,31 +437,37 @@ pub struct PyPrediction {
 
 #[pymethods]
 impl PyPrediction {
+    /// Cramer-Rao bound of the newest position for white normal errors of the stated size, square metres, east-north, (2, 2).
     #[getter]
     fn bound_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.bound_m2.concat(), &[2, 2])
     }
 
+    /// Expected covariance of the fix: the bound with tails, correlation and registration, square metres, east-north, (2, 2).
     #[getter]
     fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         shaped(py, self.inner.covariance_m2.concat(), &[2, 2])
     }
 
+    /// Samples after which twice the expected standard deviation is within the tolerance; none if never.
     #[getter]
     fn samples_to_fix(&self) -> Option<usize> {
         self.inner.samples_to_fix
     }
 
+    /// Share of the simulated flights that were fixed; NaN without flights.
     #[getter]
     fn fix_probability(&self) -> f64 {
         self.inner.fix_probability
     }
 
+    /// Share of those fixes that were wrong; NaN without flights.
     #[getter]
     fn wrong_share(&self) -> f64 {
         self.inner.wrong_share
     }
 
+    /// Simulated flights.
     #[getter]
     fn flights(&self) -> usize {
         self.inner.flights

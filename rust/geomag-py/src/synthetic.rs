@@ -189,6 +189,7 @@ impl PyPath {
         shaped(py, self.inner.time_s().to_vec(), &[self.inner.len()])
     }
 
+    /// Whether coordinates are degrees.
     #[getter]
     fn geographic(&self) -> bool {
         self.inner.geographic()

@@ -66,26 +66,31 @@ impl PyHarmonicMap {
         Ok(PyGridMap::from_core(grid, None, Some(unit), None).into_pyobject(py)?.into_any())
     }
 
+    /// Whether coordinates are degrees.
     #[getter]
     fn geographic(&self) -> bool {
         self.inner.geographic()
     }
 
+    /// Spacing (x, y) that matchers take as their step, map units.
     #[getter]
     fn spacing(&self) -> (f64, f64) {
         self.inner.spacing().into()
     }
 
+    /// Mean of the field over its region.
     #[getter]
     fn mean(&self) -> f64 {
         self.inner.mean()
     }
 
+    /// The model.
     #[getter]
     fn model(&self) -> PyHarmonicModel {
         PyHarmonicModel { inner: Arc::clone(self.inner.model()) }
     }
 
+    /// Which quantity is read from it.
     #[getter]
     fn quantity(&self) -> &'static str {
         quantity_name(self.inner.quantity()).0

@@ -472,39 +472,46 @@ impl PyHarmonicModel {
         Ok(Self { inner: Arc::new(py.detach(|| RectangularHarmonicModel::from_json(&text))?) })
     }
 
+    /// Order of the model.
     #[getter]
     fn order(&self) -> usize {
         self.inner.order()
     }
 
+    /// Periods (north, east), metres.
     #[getter]
     fn periods_m(&self) -> (f64, f64) {
         self.inner.periods_m().into()
     }
 
+    /// Coefficients, (n,): those of the constants first, then in the order of `terms`.
     #[getter]
     fn coefficients<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let coefficients = self.inner.coefficients();
         shaped(py, coefficients.to_vec(), &[coefficients.len()])
     }
 
+    /// Covariance of the coefficients, (n, n); none where the model was not fitted.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         let n = self.inner.coefficients().len();
         self.inner.covariance().map(|c| shaped(py, c, &[n, n])).transpose()
     }
 
+    /// Box that the observations filled: (3, 2), lower and upper bound north, east, down, metres.
     #[getter]
     fn region<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let r = self.inner.region();
         shaped(py, [r.north_m, r.east_m, r.down_m].into_flattened_vec(), &[3, 2])
     }
 
+    /// The local frame, where there is one.
     #[getter]
     fn frame(&self) -> Option<PyLocalFrame> {
         self.inner.frame().map(|&inner| PyLocalFrame { inner })
     }
 
+    /// Unit of the field.
     #[getter]
     fn unit(&self) -> &str {
         self.inner.unit()
@@ -518,6 +525,7 @@ impl PyHarmonicModel {
         (misfit.nugget, misfit.scale)
     }
 
+    /// How the fit went; none where the model was not fitted.
     #[getter]
     fn summary<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
         let Some(s) = self.inner.summary() else { return Ok(None) };
