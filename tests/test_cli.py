@@ -136,6 +136,28 @@ def test_bad_input_is_one_line_and_status_1(files, capsys, monkeypatch, argument
     assert words in err
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        "calibrate {} --half-width-m 1000 --tolerance-m 200",
+        "field fit {} --value a --order 2 --out {}.json",
+        "match {} {} --method msd",
+        "info {}",
+        "demo --lines {} --map {}",
+    ],
+)
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\0\0", b"# words\n\nof no table at all\n", None])
+def test_a_file_that_is_none_of_ours_is_one_line_and_status_1(tmp_path, capsys, command, content):
+    path = tmp_path / "lines.csv"
+    if content is not None:
+        path.write_bytes(content)
+    code, out, err = call(capsys, *(part.format(path) for part in command.split()))
+    assert (code, out) == (1, "")
+    assert err.startswith("geomag: ")
+    assert "needed" in err
+    assert "Traceback" not in err
+
+
 def test_a_map_of_nothing_useful_is_status_3(files, capsys):
     flat = geomag.GridMap(
         np.full((90, 80), 5.0), 16 + 0.002 * np.arange(80), 47 + 0.0015 * np.arange(90), geographic=True

@@ -238,3 +238,13 @@ def test_the_shared_grids_read(data_file):
     assert grid.spacing == pytest.approx((0.0005, 0.0005))
     grid = geomag.read_grid(data_file("namad-kansas/namad_kansas.nc"))
     assert grid.shape == (100, 100)
+
+
+@pytest.mark.parametrize("keep", [20, 60])
+def test_a_torn_or_broken_compressed_table(tmp_path, keep):
+    whole = gzip.compress(b"longitude,latitude,value\n" + b"1.25,2.5,3.75\n" * 500)
+    for number, content in enumerate((whole[:keep], whole[:15] + b"\xff" * keep + whole[15 + keep :])):
+        path = tmp_path / f"{number}.csv.gz"
+        path.write_bytes(content)
+        with pytest.raises(geomag.ReadError, match="needed a readable table"):
+            geomag.read_track(path)

@@ -7,6 +7,7 @@ pandas. `pip install 'geomag-nav[io]'` brings them.
 from __future__ import annotations
 
 import csv
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -265,7 +266,7 @@ def _read_oasis(path: Path, geographic: bool | None, sigma: float | None) -> Gri
 def _read_xyz(
     path: Path, geographic: bool | None, sigma: float | None, columns: tuple[str, str, str] | None
 ) -> GridMap:
-    table = _read_table(path)
+    table = read_table(path)
     if columns is None:
         names = [str(c) for c in table.columns]
         if len(names) < 3:
@@ -275,7 +276,7 @@ def _read_xyz(
         value_name = _pick(table, None, _VALUE_NAMES, "value", path, fallback=names[2])
     else:
         x_name, y_name, value_name = (_pick(table, c, (), "column", path) for c in columns)
-    numbers = [_floats(table, c, path) for c in (x_name, y_name, value_name)]
+    numbers = [floats(table, c, path) for c in (x_name, y_name, value_name)]
     if geographic is None:
         geographic = _is_geographic((x_name, y_name), (), None, str(path))
     return _from_points(*numbers, geographic=geographic, sigma=sigma, name=value_name, path=path)
@@ -332,7 +333,9 @@ def _from_points(
     return GridMap(grid, xs, ys, geographic=geographic, sigma=sigma, name=name)
 
 
-def _read_table(path: Path) -> pd.DataFrame:
+def read_table(path: Path) -> pd.DataFrame:
+    """Read csv (compressed or not), text with or without a header, or parquet."""
+    path = _existing(path)
     pandas = require("pandas", "io", "reading tables")
     try:
         if path.suffix.lower() in (".parquet", ".pq"):
@@ -345,7 +348,7 @@ def _read_table(path: Path) -> pd.DataFrame:
         first = pandas.read_csv(path, nrows=1, header=None, dtype=str, **options)
         numeric = all(_is_number(v) for v in first.iloc[0])
         table: pd.DataFrame = pandas.read_csv(path, header=None if numeric else 0, **options)
-    except (pandas.errors.ParserError, pandas.errors.EmptyDataError, csv.Error, OSError, ValueError) as error:
+    except (pandas.errors.ParserError, csv.Error, zlib.error, EOFError, OSError, ValueError) as error:
         raise ReadError(f"{path}: needed a readable table, got: {error}") from error
     if not len(table):
         raise ReadError(f"{path}: needed at least one row, got none")
@@ -384,7 +387,7 @@ def _pick(
     )
 
 
-def _floats(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any, Any]:
+def floats(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any, Any]:
     columns = {str(c): c for c in table.columns}
     try:
         return np.asarray(table[columns[column]], dtype=np.float64)
@@ -414,8 +417,7 @@ def read_track(
     ------
     MissingFileError, ReadError, UnknownVariableError, InvalidInputError, MissingDependencyError
     """
-    path = _existing(path)
-    return track_from_pandas(_read_table(path), x, y, value, time=time, missing=missing, where=str(path))
+    return track_from_pandas(read_table(Path(path)), x, y, value, time=time, missing=missing, where=str(path))
 
 
 def track_from_pandas(
@@ -438,7 +440,7 @@ def track_from_pandas(
     time_name = (
         _pick(table, time, (), "time", where) if time else next((names[n] for n in _TIME_NAMES if n in names), None)
     )
-    columns = [_floats(table, c, where) for c in (x_name, y_name, value_name)]
+    columns = [floats(table, c, where) for c in (x_name, y_name, value_name)]
     seconds = None if time_name is None else _seconds(table, time_name, where)
     bad = ~np.isfinite(np.column_stack(columns)).all(axis=1)
     if bad.any():

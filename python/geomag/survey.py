@@ -29,6 +29,7 @@ import numpy.typing as npt
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError, UnknownVariableError
 from geomag._geomag import GridMap, Track, _distance_to_data, _minimum_curvature, match_posterior_many
 from geomag._optional import require
+from geomag.io import floats, read_table
 
 Array = npt.NDArray[np.float64]
 Progress = bool | Callable[[int, int], None] | None
@@ -140,16 +141,16 @@ def read_lines(
 ) -> Lines:
     """Read survey lines from a table (CSV, compressed or not) with one row a point; needs pandas (extra `survey`).
 
-    Raises `UnknownVariableError` naming the columns that there are, and `ReadError`'s builtin kind `OSError` for a file that
-    cannot be opened.
+    Raises `MissingFileError`, `ReadError` for a file that is no table, and `UnknownVariableError` naming the columns that
+    there are.
     """
-    pandas = require("pandas", "survey", "reading survey lines")
-    table = pandas.read_csv(path)
+    table = read_table(Path(path))
     for name in (x, y, value, line):
         if name not in table.columns:
             raise UnknownVariableError(f"{path}: needed a column '{name}', got {', '.join(map(str, table.columns))}")
     table = table.dropna(subset=[x, y, value])
-    return Lines(table[x].to_numpy(), table[y].to_numpy(), table[value].to_numpy(), table[line].to_numpy(), geographic)
+    columns = [floats(table, name, path) for name in (x, y, value)]
+    return Lines(columns[0], columns[1], columns[2], table[line].to_numpy(), geographic)
 
 
 def line_spacing_m(lines: Lines) -> float:

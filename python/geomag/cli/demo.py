@@ -97,9 +97,9 @@ def synthetic_scene(seed: int) -> Scene:
 
 def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spacing_m: float = 200.0) -> Scene:
     """A stretch of a real survey line, its start displaced by up to a kilometre on each axis."""
-    from geomag.io import _floats, _pick, _read_table
+    from geomag.io import _pick, floats, read_table
 
-    table = _read_table(lines)
+    table = read_table(lines)
     grid = read_grid(map_file)
     x_name = _pick(table, None, ("longitude", "x", "easting"), "x", lines)
     y_name = _pick(table, None, ("latitude", "y", "northing"), "y", lines)
@@ -108,8 +108,8 @@ def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spac
     )
     line_name = _pick(table, None, ("line",), "line", lines)
     rng = np.random.default_rng(seed)
-    numbers = rng.permutation(np.unique(_floats(table, line_name, lines)))
-    columns = {n: _floats(table, n, lines) for n in (x_name, y_name, value_name, line_name)}
+    numbers = rng.permutation(np.unique(floats(table, line_name, lines)))
+    columns = {n: floats(table, n, lines) for n in (x_name, y_name, value_name, line_name)}
     for number in numbers:
         rows = columns[line_name] == number
         x, y, v = (columns[n][rows] for n in (x_name, y_name, value_name))

@@ -11,11 +11,12 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from geomag._errors import InvalidInputError, MissingFileError, UnknownVariableError
+from geomag._errors import InvalidInputError, ReadError, UnknownVariableError
 from geomag._geomag import FieldObservations, LocalFrame, RectangularHarmonicModel
 from geomag._optional import require
 from geomag.cli import app
 from geomag.cli._common import jsonable
+from geomag.io import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -71,15 +72,15 @@ def read_columns(path: Path, names: Mapping[str, str], height: str) -> dict[str,
 
     `height` is a column or a number of metres.
     """
-    if not path.exists():
-        raise MissingFileError(f"observations: needed a file, got nothing at {path}")
-    if path.suffix in {".nc", ".cdf", ".netcdf"}:
+    if path.suffix in {".nc", ".cdf", ".netcdf"} and path.exists():
         xarray = require("xarray", "io", "reading netCDF")
-        with xarray.open_dataset(path) as dataset:
-            frame = dataset.to_dataframe().reset_index()
+        try:
+            with xarray.open_dataset(path) as dataset:
+                frame = dataset.to_dataframe().reset_index()
+        except (OSError, ValueError) as error:
+            raise ReadError(f"{path}: needed a readable netCDF file, got: {error}") from error
     else:
-        pandas = require("pandas", "io", "reading tables")
-        frame = pandas.read_parquet(path) if path.suffix == ".parquet" else pandas.read_csv(path)
+        frame = read_table(path)
     out = {}
     for key, name in names.items():
         if name not in frame:
