@@ -163,6 +163,7 @@ impl PyLocalFrame {
         }
     }
 
+    /// North, east, down (metres, in the frame) of geographic points (degrees, degrees, metres), three arrays of their shape.
     #[pyo3(signature = (latitude_deg, longitude_deg, height_m = None))]
     fn forward<'py>(
         &self,
@@ -178,6 +179,7 @@ impl PyLocalFrame {
         triple(py, out, &shape)
     }
 
+    /// Latitude, longitude (degrees) and height (metres) of points in the frame (metres), three arrays of their shape.
     fn inverse<'py>(
         &self,
         py: Python<'py>,
@@ -190,6 +192,7 @@ impl PyLocalFrame {
         triple(py, out, &shape)
     }
 
+    /// Turns vectors given north-east-down at their own points into north-east-down at the origin. Lengths are kept.
     #[pyo3(signature = (latitude_deg, longitude_deg, *vector))]
     fn rotate_to_origin<'py>(
         &self,
@@ -201,6 +204,7 @@ impl PyLocalFrame {
         self.rotate(py, latitude_deg, longitude_deg, vector, LocalFrame::rotate_to_origin)
     }
 
+    /// Turns vectors given north-east-down at the origin into north-east-down at points of their own.
     #[pyo3(signature = (latitude_deg, longitude_deg, *vector))]
     fn rotate_from_origin<'py>(
         &self,

@@ -148,6 +148,9 @@ impl PyUnscentedKalmanFilter {
         Ok(Self { inner: Mutex::new(inner) })
     }
 
+    /// Predicts with the model `f` (state (n,) to state (n,)) and the process noise `Q` (n, n).
+    ///
+    /// Raises `NotFiniteError`, `ShapeError`, `NotPositiveDefiniteError`; after an error the filter is as it was.
     #[allow(non_snake_case)] // Q as in every text on filters
     fn predict(&self, py: Python<'_>, f: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
         // The callable may look at this filter: it works on a copy, nothing is locked meanwhile.
@@ -159,6 +162,10 @@ impl PyUnscentedKalmanFilter {
         Ok(())
     }
 
+    /// Takes in a measurement `z` (m,) with the model `h` (state (n,) to measurement (m,)) and its noise `R` (m, m).
+    ///
+    /// A measurement whose normalised innovation squared exceeds `gate` changes nothing. Returns whether it was taken. Raises as
+    /// `predict`.
     #[pyo3(signature = (z, h, R, *, gate = None))]
     #[allow(non_snake_case)] // R as in every text on filters
     fn update(
@@ -194,6 +201,7 @@ impl PyUnscentedKalmanFilter {
         Ok(())
     }
 
+    /// Covariance of the state, (n, n).
     #[getter(P)]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         row_major(py, &self.snapshot().estimate().covariance())
@@ -238,11 +246,13 @@ impl PyUnscentedKalmanFilter {
         residual(py, self.snapshot().innovation())
     }
 
+    /// Covariance of the last innovation, (m, m); none before one.
     #[getter(S)]
     fn innovation_covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         self.snapshot().innovation().map(|i| row_major(py, &i.covariance)).transpose()
     }
 
+    /// Gain of the last update, (n, m); none before one.
     #[getter(K)]
     fn gain<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
         self.snapshot().innovation().map(|i| row_major(py, &i.gain)).transpose()
@@ -254,6 +264,7 @@ impl PyUnscentedKalmanFilter {
         self.snapshot().estimate().regularisations()
     }
 
+    /// Sigma points of the present estimate, (2 n + 1, n).
     fn sigma_points<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         row_major(py, &self.snapshot().sigma_points().transpose())
     }
@@ -325,6 +336,9 @@ impl PyExtendedKalmanFilter {
         Ok(Self { inner: Mutex::new(ExtendedKalmanFilter::new(&mean, &p)?) })
     }
 
+    /// Predicts: `state` (n,) is where the model leads, `F` (n, n) its derivative there, `Q` (n, n) the process noise.
+    ///
+    /// Raises `NotFiniteError`, `ShapeError`, `NotPositiveDefiniteError`; after an error the filter is as it was.
     #[allow(non_snake_case)] // F, Q as in every text on filters
     fn predict(&self, state: &Bound<'_, PyAny>, F: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
         let state = vector("state", state)?;
@@ -333,6 +347,9 @@ impl PyExtendedKalmanFilter {
         self.change(|filter| Ok(filter.predict(&state, &f, &q)?))
     }
 
+    /// Takes in a measurement `z` (m,) where `expected` (m,) was to be read, `H` (m, n) its derivative, `R` (m, m) its noise.
+    ///
+    /// `gate` and the answer are those of `UnscentedKalmanFilter.update`.
     #[pyo3(signature = (z, expected, H, R, *, gate = None))]
     #[allow(non_snake_case)] // H, R as in every text on filters
     fn update(
@@ -366,6 +383,7 @@ impl PyExtendedKalmanFilter {
         })
     }
 
+    /// Covariance of the state, (n, n).
     #[getter(P)]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         row_major(py, &self.snapshot().estimate().covariance())

@@ -113,6 +113,8 @@ impl PyFieldSensor {
         shaped(py, out, &shape)
     }
 
+    /// What the sensor would read at map coordinates `x`, `y` (any shape that broadcasts): that shape with the numbers of a reading
+    /// last; NaN where the field does not answer.
     fn read<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
         let ([x, y], mut shape) = broadcast(["x", "y"], [x, y])?;
         let width = self.inner.len();
@@ -353,6 +355,11 @@ impl PyFieldNavigator {
         Ok(Self { inner: Mutex::new(inner), sensor })
     }
 
+    /// Moves on by `dt_s` seconds with the indicated speed (m/s) and course (degrees, clockwise from north) and takes in a
+    /// reading, where there is one. Numbers of it that are NaN are left out.
+    ///
+    /// Raises `NotFiniteError`, `InvalidInputError` (time running backwards), `ShapeError` (another number of components than the
+    /// sensor has), `NotPositiveDefiniteError`. After an error in the reading the prediction stands.
     #[pyo3(signature = (dt_s, speed_m_s, course_deg, reading = None))]
     fn step(
         &self,
@@ -366,6 +373,11 @@ impl PyFieldNavigator {
         Ok(PyNavigatorStep { inner })
     }
 
+    /// Cramer-Rao bound of the position along a true `path`, (n, 2) map coordinates, one a step: (n, 2, 2), square metres,
+    /// east-north: what no unbiased filter with these noises can beat.
+    ///
+    /// Starts from the present covariance; where the field is unknown there is no reading. Source: Tichavsky, Muravchik and Nehorai
+    /// 1998, doi 10.1109/78.668800. Raises as `step`.
     #[pyo3(signature = (path, dt_s, speed_m_s, course_deg))]
     fn bound<'py>(
         &self,
@@ -404,6 +416,7 @@ impl PyFieldNavigator {
         shaped(py, mean, &shape)
     }
 
+    /// Covariance of the state, (n, n).
     #[getter(P)]
     fn state_covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
         let p = self.lock().estimate().covariance();

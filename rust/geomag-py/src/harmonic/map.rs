@@ -27,12 +27,14 @@ pub struct PyHarmonicMap {
 
 #[pymethods]
 impl PyHarmonicMap {
+    /// Value at map coordinates `x`, `y` (any shape that broadcasts); NaN where the model does not answer.
     fn sample<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
         let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.value(x, y)).collect());
         shaped(py, values, &shape)
     }
 
+    /// Gradient (east, north) per metre at map coordinates, two arrays of the points' shape.
     fn gradient<'py>(
         &self,
         py: Python<'py>,
@@ -50,6 +52,7 @@ impl PyHarmonicMap {
         Ok((shaped(py, east, &shape)?, shaped(py, north, &shape)?))
     }
 
+    /// A `GridMap` of the values at the nodes of two ascending axes.
     pub fn to_grid<'py>(
         &self,
         py: Python<'py>,

@@ -308,6 +308,8 @@ impl PyHarmonicModel {
         terms(order.min(1000)).map(|t| (t.t, t.r, name(t.sine_x), name(t.sine_y))).collect()
     }
 
+    /// Field at points in the frame (metres, any shape that broadcasts): that shape and (3,) for north, east, down, in the model's
+    /// unit. NaN outside the region of the observations unless `extrapolate`.
     #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
     fn field<'py>(
         &self,
@@ -322,6 +324,7 @@ impl PyHarmonicModel {
         stacked(py, values, &shape)
     }
 
+    /// Total intensity of the modelled field plus a constant `main_field` (3,), at points as in `field`.
     #[pyo3(signature = (north_m, east_m, down_m, *, main_field = None, extrapolate = false))]
     fn intensity<'py>(
         &self,
@@ -338,6 +341,7 @@ impl PyHarmonicModel {
         shaped(py, values, &shape)
     }
 
+    /// Potential at points as in `field`, field unit times metre.
     #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
     fn potential<'py>(
         &self,
@@ -352,6 +356,8 @@ impl PyHarmonicModel {
         shaped(py, values, &shape)
     }
 
+    /// Gradient tensor at points as in `field`: their shape and (3, 3), row = component, column = direction, field unit per metre.
+    /// Symmetric, trace zero.
     #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
     fn gradient<'py>(
         &self,
@@ -367,6 +373,11 @@ impl PyHarmonicModel {
         shaped(py, values.into_flattened().into_flattened(), &shape)
     }
 
+    /// Standard deviation of the modelled field at points as in `field`: their shape and (3,) for the components, or along
+    /// `direction` ((3,) or one a point) the points' shape.
+    ///
+    /// The error of the fit, and where the model was told of it (`misfit`) what the order leaves out. Raises `InvalidInputError` where
+    /// the model has no covariance.
     #[pyo3(signature = (north_m, east_m, down_m, *, direction = None, extrapolate = false))]
     fn sigma<'py>(
         &self,
@@ -388,6 +399,7 @@ impl PyHarmonicModel {
         stacked(py, values, &shape)
     }
 
+    /// Field on a grid at one height: axes `north_m` (n,) and `east_m` (m,), one `down_m`; (n, m, 3). The same as `field`, faster.
     #[pyo3(signature = (north_m, east_m, down_m, *, extrapolate = false))]
     fn field_grid<'py>(
         &self,
@@ -403,6 +415,9 @@ impl PyHarmonicModel {
         stacked(py, values, &[north.len(), east.len()])
     }
 
+    /// Field, north, east, down at each point itself, at geographic points (degrees, degrees, metres above the frame's Earth).
+    ///
+    /// Raises `InvalidInputError` for a model without a frame.
     #[pyo3(signature = (latitude_deg, longitude_deg, height_m, *, extrapolate = false))]
     fn field_geographic<'py>(
         &self,
@@ -418,6 +433,10 @@ impl PyHarmonicModel {
         stacked(py, values, &shape)
     }
 
+    /// The model at one height as a field that matchers take in place of a map.
+    ///
+    /// `quantity` is 'north', 'east', 'down', or with `main_field` 'projection' (the field along it), 'anomaly' or 'intensity'; the
+    /// level is `down_m` in the frame or `height_m` above the Earth.
     #[pyo3(signature = (quantity = "down", *, main_field = None, down_m = None, height_m = None))]
     fn to_map(
         &self,
@@ -430,6 +449,7 @@ impl PyHarmonicModel {
         Ok(PyHarmonicMap { inner: Arc::new(self.level(quantity, down_m, height_m)?), down_m, height_m })
     }
 
+    /// A `GridMap` of the model at one height, at the nodes of two ascending axes. Options as in `to_map`.
     #[pyo3(signature = (x, y, *, quantity = "down", main_field = None, down_m = None, height_m = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn sample_to_grid<'py>(
@@ -445,6 +465,7 @@ impl PyHarmonicModel {
         self.to_map(quantity, main_field, down_m, height_m)?.to_grid(py, x, y)
     }
 
+    /// The model as text, or into the file `path`; without the covariance of the coefficients where `covariance` is false.
     #[pyo3(signature = (path = None, *, covariance = true))]
     fn to_json(&self, py: Python<'_>, path: Option<std::path::PathBuf>, covariance: bool) -> PyRes<Option<String>> {
         let text = py.detach(|| {

@@ -50,6 +50,10 @@ impl PyFieldObservations {
         Self { inner: Mutex::new(Observations::new()) }
     }
 
+    /// Adds components `field` (n, 3), north, east, down in the axes of the frame, at points in the frame, metres; a NaN component
+    /// is left out.
+    ///
+    /// `sigma` > 0, field unit, one for all or one a point. Returns itself; after an error nothing was added.
     #[pyo3(signature = (north_m, east_m, down_m, field, *, sigma = None))]
     fn add_vector<'py>(
         slf: Bound<'py, Self>,
@@ -65,6 +69,9 @@ impl PyFieldObservations {
         Ok(slf)
     }
 
+    /// Adds total-field anomalies `values` (n,): the projection of the field on the direction of `main_field`, (3,) or one a
+    /// point (n, 3), of any length but zero.
+    /// Returns itself; after an error nothing was added.
     #[pyo3(signature = (north_m, east_m, down_m, values, *, main_field, sigma = None))]
     fn add_anomaly<'py>(
         slf: Bound<'py, Self>,
@@ -81,6 +88,8 @@ impl PyFieldObservations {
         Ok(slf)
     }
 
+    /// Adds total intensities `values` (n,): the length of main field plus model. `main_field` as in `add_anomaly`. Returns itself;
+    /// after an error nothing was added.
     #[pyo3(signature = (north_m, east_m, down_m, values, *, main_field, sigma = None))]
     fn add_intensity<'py>(
         slf: Bound<'py, Self>,
