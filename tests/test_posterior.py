@@ -277,13 +277,18 @@ def test_too_few_lines_are_refused():
         Lines(x, x, x, np.zeros(3))
 
 
-def test_left_out_lines_are_declared_rightly():
+def test_left_out_lines_are_declared_rightly(tmp_path):
     result = calibrate_lines(survey(3), half_width_m=1000, tolerance_m=200, spacing_m=150, samples=30, most=150)
     text = result.to_markdown()
     assert "declared risk" in text
     ok = result.fixed
     wrong, declared = np.sum(result.error_m[ok] > 200), result.risk[ok].sum()
     assert wrong <= declared + 4 * np.sqrt(declared + 1)
+    pytest.importorskip("matplotlib")
+    result.plot(tmp_path / "reliability.svg")
+    assert result.name in (tmp_path / "reliability.svg").read_text().replace("&#45;", "-")
+    with pytest.raises(geomag.InvalidInputError, match="ending"):
+        result.plot(tmp_path / "reliability.doc")
 
 
 def test_wilson_interval():

@@ -10,6 +10,7 @@ probability of a fix.
 from __future__ import annotations
 
 import itertools
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,26 +135,14 @@ class Calibration:
         return "\n".join([*lines, ""])
 
     def plot(self, path: str | Path) -> None:
-        """Draw the reliability diagram; needs matplotlib (extra `plot`)."""
-        pyplot = require("matplotlib.pyplot", "plot", "drawing the reliability diagram")
-        rows = [r for r in self.reliability() if r["n"]]
-        figure, axes = pyplot.subplots(figsize=(5, 5), layout="constrained")
-        x = np.maximum([r["declared"] for r in rows], 1e-4)
-        y = np.maximum([r["observed"] for r in rows], 1e-4)
-        low = y - np.maximum([r["lower"] for r in rows], 1e-4)
-        high = np.array([r["upper"] for r in rows]) - y
-        axes.errorbar(x, y, yerr=[np.maximum(low, 0), np.maximum(high, 0)], fmt="o", capsize=3, label="observed, 95 %")
-        axes.plot([1e-4, 1], [1e-4, 1], "k--", lw=1, label="declared = observed")
-        axes.set(
-            xscale="log",
-            yscale="log",
-            xlabel="declared risk",
-            ylabel="observed share of wrong answers",
-            title=self.name,
-        )
-        axes.legend()
-        figure.savefig(path, dpi=120)
-        pyplot.close(figure)
+        """Draw the reliability diagram; needs matplotlib (extra `plot`). Its intervals take tracks as independent."""
+        from geomag.plot import calibration_diagram, save
+
+        stated = ~np.isin(self.status, _NO_STATEMENT) & (self.risk < RISK_BINS[-1])
+        wrong = self.error_m[stated] > self.tolerance_m
+        ax = calibration_diagram(self.risk[stated], wrong, edges=RISK_BINS, label="observed, 95 %")
+        ax.set_title(textwrap.fill(self.name, 45), fontsize=9)
+        save(ax.figure, path)  # type: ignore[arg-type]
 
 
 def one_sided_limit(wrong: float, n: int, independent: float = 1.0) -> float:
