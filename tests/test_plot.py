@@ -166,6 +166,15 @@ def test_frames_of_a_posterior():
     assert figure.axes[-1].get_title(loc="left").startswith("12 samples")
 
 
+def test_reliability_points_have_the_intervals_that_they_came_with():
+    # The first bin is so large and clean that its whole interval lies below the axis.
+    ax = plot.reliability_points([(1e-5, 0.0, 0.0, 1e-4, 40_000), (0.02, 0.05, 0.01, 0.2, 60)], label="counted")
+    (bars,) = (c for c in ax.containers if c.has_yerr)
+    lower, upper = (segment[:, 1] for segment in bars[2][0].get_segments())
+    assert lower[0] == lower[1]
+    np.testing.assert_allclose(upper, [0.01, 0.2])
+
+
 def test_calibration_diagram_shows_rates_with_intervals():
     rng = np.random.default_rng(0)
     risk = rng.uniform(0, 0.2, 4000)

@@ -135,12 +135,12 @@ class Calibration:
         return "\n".join([*lines, ""])
 
     def plot(self, path: str | Path) -> None:
-        """Draw the reliability diagram; needs matplotlib (extra `plot`). Its intervals take tracks as independent."""
-        from geomag.plot import calibration_diagram, save
+        """Draw the reliability diagram; needs matplotlib (extra `plot`)."""
+        from geomag.plot import reliability_points, save
 
-        stated = ~np.isin(self.status, _NO_STATEMENT) & (self.risk < RISK_BINS[-1])
-        wrong = self.error_m[stated] > self.tolerance_m
-        ax = calibration_diagram(self.risk[stated], wrong, edges=RISK_BINS, label="observed, 95 %")
+        rows = [r for r in self.reliability() if r["n"]]
+        points = [(r["declared"], r["observed"], r["lower"], r["upper"], int(r["n"])) for r in rows]
+        ax = reliability_points(points, label="observed, 95 %")
         ax.set_title(textwrap.fill(self.name, 45), fontsize=9)
         save(ax.figure, path)  # type: ignore[arg-type]
 

@@ -12,6 +12,7 @@ written unless asked for (`save`). Needs matplotlib: `pip install 'geomag-nav[pl
 `frames`, `animate`    a feasible set or a posterior, sample by sample
 `residuals`            measured against map values along the track
 `calibration_diagram`  declared risk against observed rate of wrong fixes
+`reliability_points`   the same from bins that were counted elsewhere
 `suitability_map`      where on the map a fix can be had
 `sequence_choice`      which samples were chosen on the field's profile
 `filter_errors`        errors of a filter with the bands of its own covariance
@@ -25,6 +26,7 @@ from geomag.plot._diagrams import (
     calibration_diagram,
     error_distribution,
     filter_errors,
+    reliability_points,
     residuals,
     sequence_choice,
 )
@@ -46,6 +48,7 @@ __all__ = [
     "match_figure",
     "match_map",
     "north_arrow",
+    "reliability_points",
     "residuals",
     "save",
     "scale_bar",

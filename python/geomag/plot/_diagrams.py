@@ -85,6 +85,25 @@ def calibration_diagram(
         raise InvalidInputError(f"calibration: needed two (n,) arrays, got {declared.shape} and {bad.shape}")
     if not ((declared >= 0) & (declared <= 1)).all():
         raise InvalidInputError("calibration: needed risks in [0, 1], got some outside or NaN")
+    points = []
+    for low, high in pairwise(edges):
+        inside = (declared >= low) & ((declared < high) | (high == edges[-1]) & (declared == high))
+        n = int(inside.sum())
+        if n:
+            k = int(bad[inside].sum())
+            points.append((float(declared[inside].mean()), k / n, *binomial_interval(k, n), n))
+    return reliability_points(points, ax, label=label, colour=colour)
+
+
+@styled
+def reliability_points(
+    points: Sequence[tuple[float, float, float, float, int]],
+    ax: Axes | None = None,
+    *,
+    label: str | None = None,
+    colour: str | None = None,
+) -> Axes:
+    """Draw bins of declared risk: (mean declared, observed rate, lower and upper end of its interval, number) of each."""
     fresh = ax is None
     ax = new_axes(ax, 4.6, 4.2)
     floor = 2e-4
@@ -93,18 +112,10 @@ def calibration_diagram(
         ax.fill_between([floor, 1], [floor, 1], [1, 1], color=COLOURS["bad"], alpha=0.07, lw=0)
         ax.text(0.0004, 0.55, "worse than declared", fontsize=8, color=COLOURS["bad"])
     shift = 1.0 + 0.06 * len(ax.containers)
-    points = []
-    for low, high in pairwise(edges):
-        inside = (declared >= low) & ((declared < high) | (high == edges[-1]) & (declared == high))
-        n = int(inside.sum())
-        if n == 0:
-            continue
-        k = int(bad[inside].sum())
-        points.append((float(declared[inside].mean()), k / n, *binomial_interval(k, n), n))
     if points:
         mean, rate, lower, upper, count = (np.array(c) for c in zip(*points, strict=True))
         at, shown = np.maximum(mean, floor) * shift, np.maximum(rate, floor)
-        spread = np.stack([shown - np.clip(lower, floor, shown), upper - shown])
+        spread = np.stack([shown - np.clip(lower, floor, shown), np.maximum(upper, floor) - shown])
         colour = colour or COLOURS["matched"]
         ax.errorbar(at, shown, yerr=spread, fmt="o", color=colour, capsize=2.5, lw=1.2, label=label)
         for x, y, n in zip(at, upper, count, strict=True):
