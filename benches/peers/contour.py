@@ -6,13 +6,12 @@ it says `cached`; the segment under the nearest vertex is not looked for. Both a
 
 from __future__ import annotations
 
-import time
-
 import contourpy
 import numpy as np
 from scipy.spatial import KDTree
 
 import geomag
+from geomag.cli.bench import best_of
 
 SPACING = 250.0
 #: Contours are looked for within three standard deviations of the INS drift, as in the paper.
@@ -69,16 +68,6 @@ class Peer:
         return (points - centre) @ np.array([[c, s], [-s, c]]) + near.mean(axis=0)
 
 
-def best_of(work, repeat):
-    """Least seconds of several runs, and the last answer."""
-    least = np.inf
-    for _ in range(repeat):
-        start = time.perf_counter()
-        answer = work()
-        least = min(least, time.perf_counter() - start)
-    return least, answer
-
-
 def table(smoke: bool = False):
     """Rows of the common table: case, what, seconds, nanoseconds a point and iteration, times as long as geomag."""
     axis, values, _, indicated, v = scene(200 if smoke else 800)
@@ -86,16 +75,16 @@ def table(smoke: bool = False):
     track = geomag.Track(indicated[:, 0], indicated[:, 1], v)
     peer = Peer(axis, values, v)
     repeat = 2 if smoke else 5
-    cut, _ = best_of(peer.index, 1 if smoke else 3)
-    cached, moved = best_of(lambda: peer.iteration(indicated), 10 * repeat)
+    cut, _ = best_of(1 if smoke else 3, peer.index)
+    cached, moved = best_of(10 * repeat, lambda: peer.iteration(indicated))
 
     def ours(iterations):
         return geomag.match_contour(grid, track, radius_m=RADIUS, max_iterations=iterations)
 
-    one, fix = best_of(lambda: ours(1), 200 * repeat)
+    one, fix = best_of(200 * repeat, lambda: ours(1))
     # The peer's points lie on lines cut every 25 m: half of that is how far the two may differ.
     assert np.abs(fix.track - moved).max() < 15, np.abs(fix.track - moved).max()
-    many, fix = best_of(lambda: ours(40), 20 * repeat)
+    many, fix = best_of(20 * repeat, lambda: ours(40))
     iterations = fix.iterations
     # What an iteration costs in a run, without what a call costs once.
     each = (many - one) / max(1, iterations - 1)
@@ -106,7 +95,7 @@ def table(smoke: bool = False):
             points = peer.iteration(points)
         return points
 
-    peer_many, end = best_of(whole, 2)
+    peer_many, end = best_of(2, whole)
     assert np.abs(fix.track - end).max() < 60, np.abs(fix.track - end).max()
     points = len(indicated)
     for case, what, seconds, base, n in (

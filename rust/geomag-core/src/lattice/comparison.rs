@@ -288,8 +288,6 @@ impl<'a> Comparison<'a> {
                         let tile = Tile {
                             values,
                             grid,
-                            map_rows: grid.y().len(),
-                            map_columns: grid.x().len(),
                             shifts,
                             measured: &measured,
                             weights: weights.as_deref(),

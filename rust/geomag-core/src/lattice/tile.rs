@@ -87,8 +87,6 @@ impl<T> TileScores<T> {
 pub(super) struct Tile<'a, T> {
     pub values: &'a [T],
     pub grid: &'a GridMap,
-    pub map_rows: usize,
-    pub map_columns: usize,
     pub shifts: &'a [Shift],
     pub measured: &'a [T],
     pub weights: Option<&'a [T]>,
@@ -101,6 +99,14 @@ pub(super) struct Tile<'a, T> {
 }
 
 impl<T: Real> Tile<'_, T> {
+    fn map_rows(&self) -> usize {
+        self.grid.y().len()
+    }
+
+    fn map_columns(&self) -> usize {
+        self.grid.x().len()
+    }
+
     /// Whether a sample of an offset may fall on a hole; the samples are inside the map.
     fn may_meet_holes(&self) -> bool {
         self.grid.holes() > 0
@@ -116,8 +122,8 @@ impl<T: Real> Tile<'_, T> {
         let column = s.column + self.first_column;
         column >= 0
             && s.row >= 0
-            && column + self.columns as i64 - 1 + dx < self.map_columns as i64
-            && s.row + self.rows as i64 - 1 + dy < self.map_rows as i64
+            && column + self.columns as i64 - 1 + dx < self.map_columns() as i64
+            && s.row + self.rows as i64 - 1 + dy < self.map_rows() as i64
     }
 
     /// Fills in the scores.
@@ -134,21 +140,21 @@ impl<T: Real> Tile<'_, T> {
     /// rows. The node beyond the last column is read even where it has no weight, and must be one of the same row.
     fn on_map(&self, s: &Shift, height: usize, width: usize) -> Option<usize> {
         let column = s.column + self.first_column;
-        let inside = self.inside(s) && column + (self.columns as i64) < self.map_columns as i64;
-        let start = inside.then(|| s.row as usize * self.map_columns + column as usize)?;
-        (start + (height - 1) * self.map_columns + width <= self.values.len()).then_some(start)
+        let inside = self.inside(s) && column + (self.columns as i64) < self.map_columns() as i64;
+        let start = inside.then(|| s.row as usize * self.map_columns() + column as usize)?;
+        (start + (height - 1) * self.map_columns() + width <= self.values.len()).then_some(start)
     }
 
     /// Copies the nodes of a sample to the end of `out`, `outside` where the map has none.
     fn copy_nodes(&self, s: &Shift, height: usize, width: usize, outside: T, out: &mut Vec<T>) {
         let column = s.column + self.first_column;
-        let first = column.clamp(0, self.map_columns as i64);
-        let last = (column + width as i64).clamp(first, self.map_columns as i64);
+        let first = column.clamp(0, self.map_columns() as i64);
+        let last = (column + width as i64).clamp(first, self.map_columns() as i64);
         for row in s.row..s.row + height as i64 {
             let at = out.len();
             out.resize(at + width, outside);
-            if (0..self.map_rows as i64).contains(&row) && first < last {
-                let start = row as usize * self.map_columns;
+            if (0..self.map_rows() as i64).contains(&row) && first < last {
+                let start = row as usize * self.map_columns();
                 let source = &self.values[start + first as usize..start + last as usize];
                 out[at + (first - column) as usize..at + (last - column) as usize].copy_from_slice(source);
             }
@@ -206,7 +212,7 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
             let samples: [Sample<'_, T>; GROUP] = std::array::from_fn(|i| {
                 let k = (first + i).min(tile.shifts.len() - 1);
                 let (nodes, stride) = match on_map[i] {
-                    Some(at) => (&tile.values[at..], tile.map_columns),
+                    Some(at) => (&tile.values[at..], tile.map_columns()),
                     None => (copied.next().unwrap_or(&[]), width),
                 };
                 let weight = tile.weights.map_or(T::from_f64(1.0), |w| w[k]);
