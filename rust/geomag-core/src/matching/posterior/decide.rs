@@ -1,6 +1,7 @@
 //! From a posterior to an answer: centre, covariance, risk and status.
 
-use super::search::{Posterior, Problem};
+use super::density::Posterior;
+use super::problem::Problem;
 use crate::fix::{Fix, Status, Surface};
 use crate::track::Track;
 
@@ -109,9 +110,10 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     }
     let risk = (1.0 - inside).clamp(0.0, 1.0);
     let offset = [centre[0] / scale[0], centre[1] / scale[1]];
-    let (detail, nu) = problem.detail(offset, posterior.step);
+    let detail = problem.detail(offset, posterior.step);
     // Under the model the mean of (nu + 1) z^2 / (nu + z^2) is 1 and its variance 2 nu / (nu + 3) a sample.
-    let deviation = (2.0 * nu / ((nu + 3.0) * detail.known.max(1) as f64)).sqrt() * problem.misfit_inflation();
+    let deviation =
+        (2.0 * detail.nu / ((detail.nu + 3.0) * detail.known.max(1) as f64)).sqrt() * problem.misfit_inflation();
     let goodness = normal_tail((detail.misfit - 1.0) / deviation);
     let runner_up = posterior
         .offsets
@@ -124,7 +126,6 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
     let status = status(problem, posterior, &p, offset, risk, goodness, runner_up, second);
-    let (heading_deg, scale_correction) = problem.heading_and_scale(&detail.theta);
     // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
     let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
     let covariance = [
@@ -136,8 +137,8 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         risk: Some(risk),
         goodness: Some(goodness),
         bias: Some(detail.bias),
-        heading_deg,
-        scale: scale_correction,
+        heading_deg: detail.heading_deg,
+        scale: detail.scale,
         score: posterior.log_p[mode],
         runner_up,
         iterations: posterior.stages,

@@ -57,6 +57,8 @@ pub(super) struct Setup<'a> {
     pub bias_sigma: Option<f64>,
     /// Displacement in metres per standard deviation of every other nuisance parameter: `shapes[parameter][sample]`.
     pub shapes: &'a [Vec<[f32; 2]>],
+    /// Those standard deviations over the prior's, where the prior is divided.
+    pub narrowed: &'a [f64],
     pub min_overlap: f64,
 }
 
@@ -68,6 +70,41 @@ pub(super) struct Scores {
     pub distance: Lane,
     /// Mean map variance along the track, units squared.
     pub map_variance: Lane,
+}
+
+impl Scores {
+    /// Of no candidate at all.
+    pub fn nothing() -> Self {
+        Self {
+            log_likelihood: [[f64::NEG_INFINITY; LANES]; LEVELS],
+            distance: [0.0; LANES],
+            map_variance: [0.0; LANES],
+        }
+    }
+
+    /// Multiplies the likelihoods by a weight.
+    pub fn weigh(&mut self, log_weight: f64) {
+        for log in self.log_likelihood.iter_mut().flatten() {
+            *log += log_weight;
+        }
+    }
+
+    /// The largest log-likelihood of every level.
+    pub fn best(&self) -> [f64; LEVELS] {
+        self.log_likelihood.map(|lanes| lanes.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+    }
+
+    /// Adds the likelihoods of another hypothesis on the same candidates.
+    pub fn add(&mut self, other: &Self) {
+        for (mine, its) in self.log_likelihood.iter_mut().flatten().zip(other.log_likelihood.iter().flatten()) {
+            let (high, low) = if *mine >= *its { (*mine, *its) } else { (*its, *mine) };
+            if low - high > -30.0 {
+                *mine = high + (low - high).exp().ln_1p();
+            } else {
+                *mine = high;
+            }
+        }
+    }
 }
 
 /// Rows of one sample for a block of candidates.
@@ -535,7 +572,7 @@ fn solve(a: &[[Wide; MOST]; MOST], x: &mut [Wide; MOST], size: usize) {
 pub(super) struct Detail {
     /// Measured minus map constant, units.
     pub bias: f64,
-    /// Nuisance parameters beside the bias, in the setup's order, standard deviations.
+    /// Nuisance parameters beside the bias, in the setup's order, standard deviations about the node.
     pub theta: [f64; MOST],
     /// Mean of (nu + 1) z^2 / (nu + z^2), 1 where the model holds.
     pub misfit: f64,
@@ -585,7 +622,8 @@ pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch:
         full[2][2] += 1.0 / (s * s);
     }
     for i in 0..setup.shapes.len() {
-        full[2 + with_bias + i][2 + with_bias + i] += 1.0;
+        // The whole prior: what is known of the offset must not depend on how it was divided.
+        full[2 + with_bias + i][2 + with_bias + i] += setup.narrowed[i] * setup.narrowed[i];
     }
     let information = schur(full, size);
     let mut rest = [0.0; MOST];

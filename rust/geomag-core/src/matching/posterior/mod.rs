@@ -22,10 +22,13 @@
 #![allow(clippy::doc_markdown, clippy::needless_range_loop, clippy::inline_always, clippy::needless_bitwise_bool)]
 
 mod decide;
+mod density;
 mod kernel;
 mod model;
+mod nuisance;
 mod patch;
 mod predict;
+mod problem;
 mod search;
 mod streaming;
 #[cfg(test)]
@@ -42,8 +45,8 @@ use crate::field::Field;
 use crate::fix::Fix;
 use crate::monitor::Monitor;
 use crate::track::Track;
+use problem::Problem;
 use rayon::prelude::*;
-use search::Problem;
 
 /// Tracks between two looks at the monitor.
 const MANY: usize = 64;

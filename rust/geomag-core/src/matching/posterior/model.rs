@@ -211,33 +211,3 @@ impl Noise {
         self.registration * distance * if self.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
     }
 }
-
-/// What is common to all samples of a track and is not the offset: priors of heading, scale and drift.
-#[derive(Debug, Clone)]
-pub(super) struct Nuisance {
-    /// Displacement in metres `[east, north]` of every sample per prior standard deviation of each parameter:
-    /// `shapes[parameter][sample]`.
-    pub shapes: Vec<Vec<[f32; 2]>>,
-    /// The prior standard deviations.
-    pub sigmas: Vec<f64>,
-}
-
-impl Nuisance {
-    /// Parameters with a prior above zero, in the order heading (radians, clockwise), scale, drift east, drift north.
-    /// `away_m` is the displacement of every sample from the newest, metres; `age` runs from 1 (first) to 0 (newest).
-    pub fn new(options: &PosteriorOptions, away_m: &[[f64; 2]], age: &[f64]) -> Self {
-        let mut shapes = Vec::new();
-        let mut sigmas = Vec::new();
-        let mut push = |sigma: f64, shape: &dyn Fn(usize) -> [f64; 2]| {
-            if sigma > 0.0 {
-                shapes.push((0..away_m.len()).map(|k| shape(k).map(|v| (sigma * v) as f32)).collect());
-                sigmas.push(sigma);
-            }
-        };
-        push(options.heading_sigma_deg.to_radians(), &|k| [away_m[k][1], -away_m[k][0]]);
-        push(options.scale_sigma, &|k| away_m[k]);
-        push(options.drift_sigma_m, &|k| [-age[k], 0.0]);
-        push(options.drift_sigma_m, &|k| [0.0, -age[k]]);
-        Self { shapes, sigmas }
-    }
-}

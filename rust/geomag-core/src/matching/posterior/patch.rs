@@ -116,6 +116,12 @@ impl Patch {
         patch
     }
 
+    /// Root mean square of the largest second difference at a node, value units.
+    pub fn typical_bend(&self) -> f64 {
+        let sum: f64 = self.nodes.iter().map(|node| f64::from(node[3]).powi(2)).sum();
+        (sum / self.nodes.len() as f64).sqrt()
+    }
+
     /// Second differences of the values: what bilinear interpolation leaves out.
     fn fill_bends(&mut self) {
         let (columns, rows) = (self.columns, self.rows);

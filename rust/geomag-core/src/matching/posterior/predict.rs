@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::match_posterior;
 use super::model::{Channel, PosteriorOptions};
-use super::search::Problem;
+use super::problem::Problem;
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::monitor::Monitor;

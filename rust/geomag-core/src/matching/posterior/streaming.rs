@@ -9,13 +9,16 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use super::decide;
 use super::model::{Channel, Noise, PosteriorOptions};
+use super::nuisance::reach_m;
 use super::patch::Patch;
-use super::search::Problem;
-use super::{decide, search};
+use super::problem::Problem;
+use super::search::{lattice, lattice_half};
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
+use crate::frame::displacement_m;
 use crate::state;
 use crate::track::Track;
 
@@ -27,6 +30,10 @@ const MISSES: f64 = 0.2;
 const CHEAP: usize = 2_000;
 /// Fewest samples of a fix.
 const FEWEST: usize = 3;
+/// Standard deviations of heading, scale and drift by which the offset may have moved between samples.
+const MOVED: f64 = 4.0;
+/// Movement in lattice steps that is left to the margins of a search.
+const SETTLED: f64 = 0.1;
 /// Name of the saved state.
 const NAME: &str = "PosteriorMatcher";
 
@@ -57,6 +64,8 @@ struct State {
     seen: usize,
     step: [f64; 2],
     candidates: Vec<Candidate>,
+    /// By how much the offset may have moved since the candidates were last spread, metres.
+    moved_m: f64,
     next: usize,
     status: Status,
     risk: f64,
@@ -65,9 +74,57 @@ struct State {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Candidate {
     offset: [f64; 2],
-    /// Interval of the biases that the samples so far allow.
+    /// Interval of the biases that most of the samples so far allow, and how many these are.
     bias: [f64; 2],
+    support: u32,
+    /// The same of some of the others: it takes the place of the first when it has more, so that an outlier does not
+    /// decide which samples fit.
+    rival: [f64; 2],
+    rival_support: u32,
+    /// Samples outside the first interval.
     misses: u32,
+}
+
+impl Candidate {
+    fn new(offset: [f64; 2]) -> Self {
+        let all = [f64::NEG_INFINITY, f64::INFINITY];
+        Self { offset, bias: all, support: 0, rival: all, rival_support: 0, misses: 0 }
+    }
+
+    /// Takes one more sample, which allows the biases in `own`; none beyond `most` either way is possible.
+    fn take(&mut self, own: [f64; 2], most: f64) {
+        let both = |a: [f64; 2]| {
+            let [low, high] = [a[0].max(own[0]), a[1].min(own[1])];
+            (low <= high && low <= most && high >= -most).then_some([low, high])
+        };
+        if let Some(bias) = both(self.bias) {
+            self.bias = bias;
+            self.support += 1;
+            return;
+        }
+        self.misses += 1;
+        if let Some(rival) = both(self.rival) {
+            self.rival = rival;
+            self.rival_support += 1;
+        } else {
+            self.rival = own;
+            self.rival_support = u32::from(own[0] <= most && own[1] >= -most);
+        }
+        if self.rival_support > self.support {
+            self.misses = self.misses + self.support - self.rival_support;
+            std::mem::swap(&mut self.bias, &mut self.rival);
+            std::mem::swap(&mut self.support, &mut self.rival_support);
+        }
+    }
+
+    /// Takes in what another candidate allows, from which the truth may have come.
+    fn join(&mut self, other: &Self) {
+        let bias = [self.bias[0].min(other.bias[0]), self.bias[1].max(other.bias[1])];
+        if other.misses < self.misses {
+            *self = Self { offset: self.offset, ..*other };
+        }
+        self.bias = bias;
+    }
 }
 
 /// Streaming matcher with a declared risk; see the module.
@@ -95,11 +152,8 @@ impl PosteriorMatcher {
         if max_samples < FEWEST {
             return Err(Error::invalid("max_samples", format!("at least {FEWEST}"), max_samples));
         }
-        let (offsets, step) = search::lattice(field.spacing(), &options)?;
-        let candidates = offsets
-            .into_iter()
-            .map(|offset| Candidate { offset, bias: [f64::NEG_INFINITY, f64::INFINITY], misses: 0 })
-            .collect();
+        let (offsets, step) = lattice(field.spacing(), &options)?;
+        let candidates = offsets.into_iter().map(Candidate::new).collect();
         let state = State {
             options,
             sigma,
@@ -110,6 +164,7 @@ impl PosteriorMatcher {
             seen: 0,
             step,
             candidates,
+            moved_m: 0.0,
             next: FEWEST,
             status: Status::Searching,
             risk: 1.0,
@@ -133,6 +188,8 @@ impl PosteriorMatcher {
         s.y.push(y);
         s.values.push(value);
         s.seen += 1;
+        self.moved();
+        self.spread(0.5);
         self.gate(x, y, value)?;
         let s = &self.state;
         let n = s.x.len();
@@ -149,6 +206,7 @@ impl PosteriorMatcher {
             return Ok(self.step(None));
         }
         self.state.next = s.seen + (n / 2).max(1);
+        self.spread(SETTLED);
         let (fix, kept) = self.solve(true)?;
         self.state.status = fix.status;
         self.state.risk = fix.risk.unwrap_or(1.0);
@@ -246,14 +304,25 @@ impl PosteriorMatcher {
 
     /// The window of the map that the samples held can touch, laid out anew only when the track has left it.
     fn window(&mut self) {
-        let half = self.state.options.half_width;
+        let s = &self.state;
+        let half = s.options.half_width;
+        let (Some(&newest_x), Some(&newest_y)) = (s.x.last(), s.y.last()) else { return };
+        let newest = [newest_x, newest_y];
+        let from_newest = |(x, y): (&f64, &f64)| {
+            let [east, north] = displacement_m(self.field.geographic(), newest, [*x, *y]);
+            east.hypot(north)
+        };
+        let lever_m = s.x.iter().zip(&s.y).map(from_newest).fold(0.0, f64::max);
+        let reach_m = reach_m(&s.options, lever_m);
+        let scale_m = self.field.metres_per_unit(newest_y);
+        let reach = [half[0] + reach_m / scale_m[0], half[1] + reach_m / scale_m[1]];
         let mut needed = [f64::INFINITY, f64::NEG_INFINITY, f64::INFINITY, f64::NEG_INFINITY];
-        for (x, y) in self.state.x.iter().zip(&self.state.y) {
+        for (x, y) in s.x.iter().zip(&s.y) {
             let x = self.field.wrap_x(*x);
-            needed[0] = needed[0].min(x - half[0]);
-            needed[1] = needed[1].max(x + half[0]);
-            needed[2] = needed[2].min(y - half[1]);
-            needed[3] = needed[3].max(y + half[1]);
+            needed[0] = needed[0].min(x - reach[0]);
+            needed[1] = needed[1].max(x + reach[0]);
+            needed[2] = needed[2].min(y - reach[1]);
+            needed[3] = needed[3].max(y + reach[1]);
         }
         let inside = self
             .patch
@@ -279,12 +348,10 @@ impl PosteriorMatcher {
         let cell = patch.step();
         let (half_x, half_y) = (0.5 * step[0] / cell[0], 0.5 * step[1] / cell[1]);
         let scale_m = self.field.metres_per_unit(y);
-        // What heading, scale and drift may have moved the oldest sample by, over the track so far.
-        let away = crate::frame::displacement_m(self.field.geographic(), [self.state.x[0], self.state.y[0]], [x, y]);
         let o = &self.state.options;
-        let lever = away[0].hypot(away[1]) * o.heading_sigma_deg.to_radians().hypot(o.scale_sigma);
-        let moved = lever.hypot(o.drift_sigma_m).hypot(o.position_sigma_m);
-        let (moved_x, moved_y) = (moved / (cell[0] * scale_m[0]), moved / (cell[1] * scale_m[1]));
+        let jitter = o.position_sigma_m.powi(2);
+        let (per_x, per_y) = (1.0 / (cell[0] * scale_m[0]), 1.0 / (cell[1] * scale_m[1]));
+        let (half_x, half_y) = (half_x + self.state.moved_m * per_x, half_y + self.state.moved_m * per_y);
         let bias_reach = match o.bias_sigma {
             None => f64::INFINITY,
             Some(s) => 4.0 * s,
@@ -301,25 +368,67 @@ impl PosteriorMatcher {
             let own = noise.sensor_variance
                 + worst * f64::from(sample.variance)
                 + f64::from(sample.curvature).powi(2)
-                + (gx * moved_x).powi(2)
-                + (gy * moved_y).powi(2);
+                + jitter * ((gx * per_x).powi(2) + (gy * per_y).powi(2));
             let reach = GATE * own.sqrt() + half_x * gx.abs() + half_y * gy.abs();
             let residual = value - f64::from(sample.value);
-            let low = c.bias[0].max(residual - reach);
-            let high = c.bias[1].min(residual + reach);
-            let fits = low <= high && low <= bias_reach && high >= -bias_reach;
-            if fits {
-                c.bias = [low, high];
-            } else {
-                c.misses += 1;
-                // The interval may have been set by an outlier: what the newest sample allows is taken in its stead.
-                if c.misses % 2 == 0 {
-                    c.bias = [residual - reach, residual + reach];
-                }
-            }
+            c.take([residual - reach, residual + reach], bias_reach);
             c.misses <= allowed
         });
         Ok(())
+    }
+
+    /// Counts by how much heading, scale and drift may have moved the offset since the sample before.
+    fn moved(&mut self) {
+        let s = &mut self.state;
+        let n = s.x.len();
+        if n < 2 {
+            return;
+        }
+        let o = &s.options;
+        let [east, north] = displacement_m(self.field.geographic(), [s.x[n - 2], s.y[n - 2]], [s.x[n - 1], s.y[n - 1]]);
+        let turned = east.hypot(north) * o.heading_sigma_deg.to_radians().hypot(o.scale_sigma);
+        // The drift is that over the samples held, however many these are.
+        s.moved_m += MOVED * turned.hypot(o.drift_sigma_m / (n - 1) as f64);
+    }
+
+    /// Spreads the candidates to those that the offset may have moved to, once that is more than `share` of a lattice step.
+    fn spread(&mut self, share: f64) {
+        let s = &mut self.state;
+        let (Some(&y), Some(first)) = (s.y.last(), s.candidates.first()) else { return };
+        let scale_m = self.field.metres_per_unit(y);
+        let steps = [0, 1].map(|d| s.moved_m / (s.step[d] * scale_m[d]));
+        if steps[0].max(steps[1]) <= share {
+            return;
+        }
+        s.moved_m = 0.0;
+        let rings = steps.map(|s| s.ceil() as i64);
+        let most = [0, 1].map(|d| lattice_half(s.options.half_width[d], s.step[d]));
+        let node = |c: &Candidate| [0, 1].map(|d| (c.offset[d] / s.step[d]).round() as i64);
+        let (mut low, mut high) = (node(first), node(first));
+        for at in s.candidates.iter().map(node) {
+            for d in 0..2 {
+                low[d] = low[d].min(at[d]);
+                high[d] = high[d].max(at[d]);
+            }
+        }
+        for d in 0..2 {
+            low[d] = (low[d] - rings[d]).max(-most[d]);
+            high[d] = (high[d] + rings[d]).min(most[d]);
+        }
+        let columns = (high[0] - low[0] + 1) as usize;
+        let rows = (high[1] - low[1] + 1) as usize;
+        let mut spread: Vec<Option<Candidate>> = vec![None; columns * rows];
+        for c in &s.candidates {
+            let at = node(c);
+            for j in (at[1] - rings[1]).max(low[1])..=(at[1] + rings[1]).min(high[1]) {
+                for i in (at[0] - rings[0]).max(low[0])..=(at[0] + rings[0]).min(high[0]) {
+                    let place = &mut spread[(j - low[1]) as usize * columns + (i - low[0]) as usize];
+                    let offset = [i as f64 * s.step[0], j as f64 * s.step[1]];
+                    place.get_or_insert(Candidate { offset, ..*c }).join(c);
+                }
+            }
+        }
+        s.candidates = spread.into_iter().flatten().collect();
     }
 
     /// Drops the candidates that the posterior has ruled out; `kept` is in the order of the candidates.

@@ -1,0 +1,197 @@
+//! From the likelihoods of a lattice to a posterior over it: error levels, correlation and registration.
+
+use std::ops::Range;
+
+use super::kernel::{LANES, Scores};
+use super::model::{LEVELS, Noise};
+use super::problem::{Prepared, Problem, Scope};
+use super::search::select;
+
+/// Logarithm of a share that changes no sum.
+pub(super) const NOTHING: f64 = -36.0;
+
+/// Discrete posterior over offsets.
+#[derive(Debug, Clone)]
+pub(super) struct Posterior {
+    /// Offsets, map units.
+    pub offsets: Vec<[f64; 2]>,
+    /// Natural logarithms of the probabilities; they sum to one.
+    pub log_p: Vec<f64>,
+    /// Standard deviation per axis by which each is blurred: registration of the map and half the lattice step, metres.
+    pub blur_m: Vec<f64>,
+    /// Lattice step, map units.
+    pub step: [f64; 2],
+    /// Stages taken.
+    pub stages: usize,
+}
+
+/// What a channel's errors amount to over the candidates.
+pub(super) struct Law {
+    /// Mean distance to the data, metres.
+    pub distance: f64,
+    /// Whether any candidate lies on the map.
+    known: bool,
+    /// Power to which the likelihood is taken, a level.
+    pub temper: [f64; LEVELS],
+    /// Share of the map in the error variance, a level.
+    pub share: [f64; LEVELS],
+}
+
+impl Problem<'_> {
+    /// The posterior over exactly these offsets.
+    pub fn density(&self, offsets: Vec<[f64; 2]>, step: [f64; 2], scopes: &[Scope]) -> Posterior {
+        let mut log_p = vec![0.0; offsets.len()];
+        let mut blur2 = vec![0.0; offsets.len()];
+        let likelihoods = self.likelihoods::<false>(&offsets, step, scopes);
+        for ((channel, scored), scope) in self.channels.iter().zip(&likelihoods).zip(scopes) {
+            self.combine(channel, &scored.blocks, scope.levels.clone(), &mut log_p, &mut blur2);
+        }
+        let best = log_p.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if best.is_finite() {
+            let total = log_p.iter().map(|lp| (lp - best).exp()).sum::<f64>().ln() + best;
+            for lp in &mut log_p {
+                *lp -= total;
+            }
+        }
+        let between = lattice_variance(step, self.scale_m);
+        let blur_m = blur2.iter().map(|b| (b + between).sqrt()).collect();
+        Posterior { offsets, log_p, blur_m, step, stages: 1 }
+    }
+
+    /// Tempers of a channel's levels, from the means over the candidates that lie on the map.
+    pub fn law(&self, channel: &Prepared, blocks: &[Scores], levels: Range<usize>) -> Law {
+        let noise = &channel.noise;
+        let (mut distance, mut map_variance, mut count) = (0.0_f64, 0.0_f64, 0.0_f64);
+        for b in blocks {
+            for l in 0..LANES {
+                if b.log_likelihood[levels.start][l].is_finite() {
+                    distance += f64::from(b.distance[l]);
+                    map_variance += f64::from(b.map_variance[l]);
+                    count += 1.0;
+                }
+            }
+        }
+        distance /= count.max(1.0);
+        map_variance /= count.max(1.0);
+        let mut law = Law { distance, known: count > 0.0, temper: [1.0; LEVELS], share: [0.0; LEVELS] };
+        for (v, level) in noise.levels.iter().enumerate() {
+            // Effective share of independent samples in errors that decorrelate over a length l: those of an AR(1) series
+            // with coefficient exp(-spacing / l) count as (1 - rho) / (1 + rho) = tanh(spacing / 2 l).
+            let length =
+                noise.correlation * distance * if noise.levels_are_distances { level.factor.min(1.0) } else { 1.0 };
+            let independent = if length > 0.0 { (0.5 * self.spacing_m / length).tanh().max(1e-3) } else { 1.0 };
+            let variance = level.factor * level.factor * map_variance;
+            let share = variance / (variance + channel.sensor_variance());
+            law.share[v] = share;
+            law.temper[v] = 1.0 / ((1.0 - share) + share / independent);
+        }
+        law
+    }
+
+    /// Adds one channel's log posterior density: error levels weighed by their evidence, each tempered by the
+    /// correlation of the errors that it stands for.
+    fn combine(
+        &self,
+        channel: &Prepared,
+        blocks: &[Scores],
+        levels: Range<usize>,
+        log_p: &mut [f64],
+        blur2: &mut [f64],
+    ) {
+        let noise = &channel.noise;
+        let law = self.law(channel, blocks, levels.clone());
+        if !law.known {
+            log_p.fill(f64::NEG_INFINITY);
+            return;
+        }
+        let mut best = [f64::NEG_INFINITY; LEVELS];
+        for v in levels.clone() {
+            for b in blocks {
+                best[v] = b.log_likelihood[v].iter().copied().fold(best[v], f64::max);
+            }
+        }
+        let log_sum = |v: usize, temper: f64| {
+            let mut sum = 0.0;
+            for b in blocks {
+                for log in b.log_likelihood[v] {
+                    let below = temper * (log - best[v]);
+                    if below > NOTHING {
+                        sum += below.exp();
+                    }
+                }
+            }
+            temper * best[v] + sum.ln()
+        };
+        let weights = law.weights(noise, levels.clone(), log_sum);
+        let mut normalise = [0.0; LEVELS];
+        for v in levels.clone() {
+            normalise[v] = log_sum(v, law.temper[v]);
+        }
+        for i in 0..log_p.len() {
+            let (block, l) = (&blocks[i / LANES], i % LANES);
+            let mut logs = [f64::NEG_INFINITY; LEVELS];
+            let mut top = f64::NEG_INFINITY;
+            for v in levels.clone() {
+                logs[v] = weights[v] + law.temper[v] * block.log_likelihood[v][l] - normalise[v];
+                top = top.max(logs[v]);
+            }
+            if !top.is_finite() {
+                log_p[i] = f64::NEG_INFINITY;
+                continue;
+            }
+            let (mut total, mut blurred) = (0.0, 0.0);
+            for v in levels.clone() {
+                if logs[v] - top > NOTHING {
+                    let p = (logs[v] - top).exp();
+                    let displaced = noise.displacement(f64::from(block.distance[l]), &noise.levels[v]);
+                    total += p;
+                    blurred += p * law.share[v] * displaced * displaced;
+                }
+            }
+            log_p[i] += top + total.ln();
+            blur2[i] += blurred / total;
+        }
+    }
+}
+
+impl Posterior {
+    /// The most probable candidate; ties go to the smaller index.
+    pub fn mode(&self) -> Option<usize> {
+        let mut best: Option<usize> = None;
+        for (i, lp) in self.log_p.iter().enumerate() {
+            if lp.is_finite() && best.is_none_or(|b| *lp > self.log_p[b]) {
+                best = Some(i);
+            }
+        }
+        best
+    }
+
+    /// Offsets within `depth` of the best, the best `most` where there are more.
+    pub fn survivors(&self, depth: f64, most: usize) -> Vec<[f64; 2]> {
+        let Some(best) = self.mode() else { return Vec::new() };
+        let below: Vec<f64> = self.log_p.iter().map(|lp| lp - self.log_p[best]).collect();
+        select(&self.offsets, &below, depth, most)
+    }
+}
+
+impl Law {
+    /// Logarithms of the levels' weights, the largest 0: evidence of each level against its neighbour, both at the smaller
+    /// of their tempers, so that a hypothesis is not favoured for the logarithm of its units.
+    pub fn weights(&self, noise: &Noise, levels: Range<usize>, evidence: impl Fn(usize, f64) -> f64) -> [f64; LEVELS] {
+        let mut weights = [f64::NEG_INFINITY; LEVELS];
+        weights[levels.start] = noise.levels[levels.start].log_prior;
+        for v in levels.start + 1..levels.end {
+            let common = self.temper[v].min(self.temper[v - 1]);
+            weights[v] = weights[v - 1] + noise.levels[v].log_prior - noise.levels[v - 1].log_prior
+                + evidence(v, common)
+                - evidence(v - 1, common);
+        }
+        let top = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        weights.map(|w| w - top)
+    }
+}
+
+/// Variance per axis of a place anywhere in a lattice cell, square metres.
+pub(super) fn lattice_variance(step: [f64; 2], scale_m: [f64; 2]) -> f64 {
+    (0..2).map(|d| (step[d] * scale_m[d]).powi(2)).sum::<f64>() / 24.0
+}

@@ -1,0 +1,254 @@
+//! What moves the samples of a track against each other: heading, scale and drift.
+
+use super::model::PosteriorOptions;
+
+/// Standard deviations of the prior that the nodes cover.
+const REACH: f64 = 3.0;
+/// Distance between nodes in standard deviations about a node; the sum is then flat to 1.4 %.
+const SPACING: f64 = 2.0;
+/// Share of the prior's standard deviation from which it is not worth dividing.
+const WHOLE: f64 = 0.8;
+/// Most nodes; where more would be needed, each is wider.
+const NODES: usize = 150;
+
+/// What is common to all samples of a track and is not the offset: heading, scale and drift.
+///
+/// The kernel takes them as linear in the map's gradient, which holds for small displacements only. A parameter that may move the
+/// far end of the track by more is laid out as a sum of narrow normal laws, one a node (Alspach and Sorenson, IEEE Trans.
+/// Autom. Control 17 (1972) 439): the track is turned, stretched and shifted to the node exactly, and what is left of the prior
+/// around it is linear.
+#[derive(Debug, Clone)]
+pub(super) struct Nuisance {
+    /// Displacement in metres `[east, north]` of every sample per standard deviation of each parameter about its node:
+    /// `shapes[parameter][sample]`.
+    pub shapes: Vec<Vec<[f32; 2]>>,
+    /// Standard deviations about a node over those of the prior.
+    pub narrowed: Vec<f64>,
+    pub nodes: Vec<Node>,
+    parameters: Vec<Parameter>,
+}
+
+/// A place in the space of the parameters.
+#[derive(Debug, Clone)]
+pub(super) struct Node {
+    /// The parameters there, in prior standard deviations.
+    pub at: Vec<f64>,
+    /// By how much each sample is moved, metres `[east, north]`; empty where by nothing.
+    pub moved_m: Vec<[f64; 2]>,
+    /// Logarithm of its share of the prior.
+    pub log_weight: f64,
+}
+
+/// One parameter with a prior above zero.
+#[derive(Debug, Clone, Copy)]
+struct Parameter {
+    kind: Kind,
+    /// Its prior standard deviation: radians, 1, metres.
+    sigma: f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    /// Clockwise.
+    Heading,
+    Scale,
+    DriftEast,
+    DriftNorth,
+}
+
+impl Nuisance {
+    /// The parameters with a prior above zero, on one node. `away_m` is the displacement of every sample from the newest,
+    /// metres; `age` runs from 1 (first) to 0 (newest).
+    pub fn new(options: &PosteriorOptions, away_m: &[[f64; 2]], age: &[f64]) -> Self {
+        let parameters: Vec<Parameter> = [
+            (Kind::Heading, options.heading_sigma_deg.to_radians()),
+            (Kind::Scale, options.scale_sigma),
+            (Kind::DriftEast, options.drift_sigma_m),
+            (Kind::DriftNorth, options.drift_sigma_m),
+        ]
+        .into_iter()
+        .filter(|(_, sigma)| *sigma > 0.0)
+        .map(|(kind, sigma)| Parameter { kind, sigma })
+        .collect();
+        let shapes = parameters
+            .iter()
+            .map(|p| {
+                (away_m.iter().zip(age))
+                    .map(|(&[east, north], age)| {
+                        let shape = match p.kind {
+                            Kind::Heading => [north, -east],
+                            Kind::Scale => [east, north],
+                            Kind::DriftEast => [-age, 0.0],
+                            Kind::DriftNorth => [0.0, -age],
+                        };
+                        shape.map(|v| (p.sigma * v) as f32)
+                    })
+                    .collect()
+            })
+            .collect();
+        let node = Node { at: vec![0.0; parameters.len()], moved_m: Vec::new(), log_weight: 0.0 };
+        Self { shapes, narrowed: vec![1.0; parameters.len()], nodes: vec![node], parameters }
+    }
+
+    /// Greatest displacement of any sample per prior standard deviation of each parameter, metres.
+    fn levers_m(&self) -> Vec<f64> {
+        self.shapes.iter().map(|shape| shape.iter().map(|[e, n]| f64::from(e.hypot(*n))).fold(0.0, f64::max)).collect()
+    }
+
+    /// Divides the prior so that about each node no parameter moves a sample by more than `linear_m` in a standard deviation.
+    #[must_use]
+    pub fn divided(mut self, linear_m: f64, away_m: &[[f64; 2]], age: &[f64]) -> Self {
+        let levers = self.levers_m();
+        let mut linear_m = linear_m;
+        let laws = loop {
+            let laws: Vec<NormalSum> = levers.iter().map(|lever| NormalSum::new(linear_m / lever)).collect();
+            if laws.iter().map(|law| law.nodes.len()).product::<usize>() <= NODES {
+                break laws;
+            }
+            linear_m *= 1.2;
+        };
+        self.narrowed = laws.iter().map(|law| law.narrowed).collect();
+        for (shape, narrowed) in self.shapes.iter_mut().zip(&self.narrowed) {
+            for v in shape.iter_mut().flatten() {
+                *v *= *narrowed as f32;
+            }
+        }
+        let mut nodes = self.nodes;
+        for (i, law) in laws.iter().enumerate() {
+            nodes = nodes
+                .iter()
+                .flat_map(|node| {
+                    law.nodes.iter().map(move |&(at, log_weight)| {
+                        let mut node = node.clone();
+                        node.at[i] = at;
+                        node.log_weight += log_weight;
+                        node
+                    })
+                })
+                .collect();
+        }
+        for node in &mut nodes {
+            if node.at.iter().any(|at| *at != 0.0) {
+                node.moved_m = moved(&self.parameters, &node.at, away_m, age);
+            }
+        }
+        // The likeliest first.
+        nodes.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
+        self.nodes = nodes;
+        self
+    }
+
+    /// Heading in degrees and scale of parameters in standard deviations about a node.
+    pub fn heading_and_scale(&self, node: &Node, about: &[f64]) -> (f64, f64) {
+        let (mut heading, mut scale) = (0.0, 1.0);
+        for (i, p) in self.parameters.iter().enumerate() {
+            let value = p.sigma * (node.at[i] + self.narrowed[i] * about[i]);
+            match p.kind {
+                Kind::Heading => heading += value.to_degrees(),
+                Kind::Scale => scale += value,
+                Kind::DriftEast | Kind::DriftNorth => {}
+            }
+        }
+        (heading, scale)
+    }
+}
+
+/// Bound of the displacement of any sample at any node, metres, on a track that reaches `lever_m` from its newest sample.
+pub(super) fn reach_m(options: &PosteriorOptions, lever_m: f64) -> f64 {
+    let turned = lever_m * options.heading_sigma_deg.to_radians().hypot(options.scale_sigma);
+    REACH * turned.hypot(std::f64::consts::SQRT_2 * options.drift_sigma_m)
+}
+
+/// By how much each sample is moved with the parameters at these values (prior standard deviations).
+fn moved(parameters: &[Parameter], at: &[f64], away_m: &[[f64; 2]], age: &[f64]) -> Vec<[f64; 2]> {
+    let (mut heading, mut scale, mut drift) = (0.0_f64, 1.0, [0.0; 2]);
+    for (p, at) in parameters.iter().zip(at) {
+        let value = p.sigma * at;
+        match p.kind {
+            Kind::Heading => heading += value,
+            Kind::Scale => scale += value,
+            Kind::DriftEast => drift[0] += value,
+            Kind::DriftNorth => drift[1] += value,
+        }
+    }
+    let (sine, cosine) = heading.sin_cos();
+    (away_m.iter().zip(age))
+        .map(|(&[east, north], age)| {
+            let turned = [cosine * east + sine * north, cosine * north - sine * east];
+            [scale * turned[0] - east - age * drift[0], scale * turned[1] - north - age * drift[1]]
+        })
+        .collect()
+}
+
+/// The standard normal law as a sum of narrower ones.
+struct NormalSum {
+    /// Their standard deviation.
+    narrowed: f64,
+    /// Their means, and the logarithms of their weights.
+    nodes: Vec<(f64, f64)>,
+}
+
+impl NormalSum {
+    /// Of laws of about this standard deviation, the whole where that is not much less than 1.
+    fn new(narrowed: f64) -> Self {
+        if narrowed >= WHOLE {
+            return Self { narrowed: 1.0, nodes: vec![(0.0, 0.0)] };
+        }
+        // Variances add: that of the means and that about them make the whole.
+        let between = 1.0 - narrowed * narrowed;
+        let spacing = SPACING * narrowed;
+        let most = (REACH * between.sqrt() / spacing).ceil();
+        let count = 2 * most as i64 + 1;
+        let log = |i: i64| -0.5 * ((i as f64 - most) * spacing).powi(2) / between;
+        let total = (0..count).map(|i| log(i).exp()).sum::<f64>().ln();
+        Self { narrowed, nodes: (0..count).map(|i| ((i as f64 - most) * spacing, log(i) - total)).collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn narrow_laws_add_up_to_the_normal_law() {
+        for narrowed in [0.7, 0.4, 0.15, 0.05] {
+            let sum = NormalSum::new(narrowed);
+            let normal = |x: f64, s: f64| (-0.5 * (x / s).powi(2)).exp() / (s * std::f64::consts::TAU.sqrt());
+            for x in [0.0, 0.1, 0.37, 1.0, 1.9, 2.7] {
+                let density: f64 = sum.nodes.iter().map(|(at, w)| w.exp() * normal(x - at, sum.narrowed)).sum();
+                let expected = normal(x, 1.0);
+                assert!((density - expected).abs() < 0.05 * expected, "{narrowed} at {x}: {density} {expected}");
+            }
+        }
+        assert_eq!(NormalSum::new(0.9).nodes.len(), 1);
+    }
+
+    #[test]
+    fn a_node_turns_stretches_and_shifts_as_the_shapes_say() {
+        let mut options = PosteriorOptions::new([1000.0; 2]);
+        options.heading_sigma_deg = 1.0;
+        options.scale_sigma = 0.01;
+        options.drift_sigma_m = 50.0;
+        let away: Vec<[f64; 2]> = (0..10).map(|k| [-100.0 * f64::from(9 - k), -300.0 * f64::from(9 - k)]).collect();
+        let age: Vec<f64> = (0..10).map(|k| f64::from(9 - k) / 9.0).collect();
+        let whole = Nuisance::new(&options, &away, &age);
+        let divided = whole.clone().divided(20.0, &away, &age);
+        assert!(divided.nodes.len() > 20 && divided.nodes.len() <= NODES);
+        for node in &divided.nodes {
+            for k in 0..10 {
+                let linear: Vec<f64> =
+                    (0..2).map(|d| (0..4).map(|i| node.at[i] * f64::from(whole.shapes[i][k][d])).sum()).collect();
+                let moved = node.moved_m.get(k).copied().unwrap_or([0.0; 2]);
+                for d in 0..2 {
+                    // The square of the angle over the lever.
+                    assert!((moved[d] - linear[d]).abs() < 8.0, "{node:?} {k} {linear:?}");
+                }
+            }
+        }
+        let total: f64 = divided.nodes.iter().map(|n| n.log_weight.exp()).sum();
+        assert!((total - 1.0).abs() < 1e-9);
+        let node = divided.nodes.iter().find(|n| n.at[0] != 0.0 && n.at[1] == 0.0).unwrap();
+        let (heading, scale) = divided.heading_and_scale(node, &[0.0; 4]);
+        assert!((heading - node.at[0]).abs() < 1e-12 && scale == 1.0);
+    }
+}

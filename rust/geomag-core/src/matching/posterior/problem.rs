@@ -1,0 +1,422 @@
+//! A track, its maps and what is known of their errors, made ready for the kernel.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::kernel::{self, LANES, Scores, Scratch, Setup};
+use super::model::{Channel, LEVELS, Noise, PosteriorOptions};
+use super::nuisance::{Nuisance, reach_m};
+use super::patch::Patch;
+use crate::error::{Error, Result};
+use crate::field::Field;
+use crate::frame::displacement_m;
+use crate::track::Track;
+
+/// What is to be expected of a track: see [`Problem::expected`].
+pub(super) struct Expected {
+    pub bound: [[f64; 2]; 2],
+    pub covariance: [[f64; 2]; 2],
+    /// Correlation of the map's error from one sample to the next.
+    pub coefficient: f64,
+    pub map_sigma: Vec<f64>,
+    pub sensor_sigma: f64,
+}
+
+/// What one offset looks like from near: see [`Problem::detail`].
+pub(super) struct Closer {
+    /// Measured minus map, value units.
+    pub bias: f64,
+    pub heading_deg: f64,
+    pub scale: f64,
+    /// See [`kernel::Detail`].
+    pub misfit: f64,
+    pub known: usize,
+    /// Degrees of freedom under which it was looked at.
+    pub nu: f64,
+}
+
+/// A problem made ready: everything that does not depend on the candidate.
+pub(super) struct Problem<'a> {
+    pub options: &'a PosteriorOptions,
+    pub field: &'a dyn Field,
+    pub channels: Vec<Prepared>,
+    positions: Vec<[f64; 2]>,
+    nuisance: Nuisance,
+    /// Metres per map unit.
+    pub scale_m: [f64; 2],
+    pub cell: [f64; 2],
+    pub tolerance_m: f64,
+    pub spacing_m: f64,
+}
+
+/// One channel, made ready.
+pub(super) struct Prepared {
+    patch: Arc<Patch>,
+    /// Indicated positions at every node of the nuisance parameters, in cells of the patch: `places[node][sample]`.
+    places: Vec<Vec<[f64; 2]>>,
+    /// Measured values minus the patch's level, value units.
+    values: Vec<f32>,
+    pub noise: Noise,
+    cell_m: [f64; 2],
+    /// Unit of the kernel's residuals, value units.
+    unit: f64,
+}
+
+/// What of one channel is looked at: error levels and nodes of the nuisance parameters.
+#[derive(Debug, Clone)]
+pub(super) struct Scope {
+    pub levels: Range<usize>,
+    pub nodes: Vec<usize>,
+}
+
+/// Scores of all candidates by one channel.
+pub(super) struct Scored {
+    /// A block of [`LANES`] candidates each.
+    pub blocks: Vec<Scores>,
+    /// The largest log-likelihood of any candidate at every node in the scope, its share of the prior counted.
+    pub best_of_node: Vec<[f64; LEVELS]>,
+}
+
+/// The scores by every channel.
+pub(super) type Likelihoods = Vec<Scored>;
+
+/// Curvature times half the square of a displacement, in standard deviations of a sample, up to which it is linear.
+const LINEAR: f64 = 0.5;
+/// Bounds of the displacement that is taken as linear, cells of the map.
+const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
+/// Samples times candidates times levels below which one thread is faster than several.
+const PARALLEL: usize = 16_000;
+
+impl<'a> Problem<'a> {
+    /// Checks the input and lays out the maps.
+    pub fn new(channels: &[Channel<'a>], track: &Track, options: &'a PosteriorOptions) -> Result<Self> {
+        Self::on(channels, track, options, None)
+    }
+
+    /// The same, on a window of the first map that was laid out before and covers all candidates.
+    pub fn on(
+        channels: &[Channel<'a>],
+        track: &Track,
+        options: &'a PosteriorOptions,
+        laid_out: Option<&Arc<Patch>>,
+    ) -> Result<Self> {
+        options.validate()?;
+        let Some(first) = channels.first() else {
+            return Err(Error::invalid("channels", "at least one map with its values", "none"));
+        };
+        let field = first.field;
+        let n = track.len();
+        let positions: Vec<[f64; 2]> = (0..n).map(|k| [field.wrap_x(track.x()[k]), track.y()[k]]).collect();
+        let middle = positions.iter().map(|p| p[1]).sum::<f64>() / n as f64;
+        let scale_m = field.metres_per_unit(middle);
+        let cell = field.spacing();
+        let newest = positions[n - 1];
+        let away: Vec<[f64; 2]> = positions.iter().map(|p| displacement_m(field.geographic(), newest, *p)).collect();
+        let spacing_m = positions
+            .windows(2)
+            .map(|w| {
+                let [e, north] = displacement_m(field.geographic(), w[0], w[1]);
+                e.hypot(north)
+            })
+            .sum::<f64>()
+            / (n.max(2) - 1) as f64;
+        let age: Vec<f64> = match track.time_s() {
+            Some(t) if t[n - 1] > t[0] => t.iter().map(|t_k| (t[n - 1] - t_k) / (t[n - 1] - t[0])).collect(),
+            _ => (0..n).map(|k| (n - 1 - k) as f64 / (n.max(2) - 1) as f64).collect(),
+        };
+        let mut nuisance = Nuisance::new(options, &away, &age);
+        let lever_m = away.iter().map(|[e, n]| e.hypot(*n)).fold(0.0, f64::max);
+        let reach_m = reach_m(options, lever_m);
+        let mut low = [f64::INFINITY; 2];
+        let mut high = [f64::NEG_INFINITY; 2];
+        for p in &positions {
+            for d in 0..2 {
+                let reach = options.half_width[d] + reach_m / scale_m[d];
+                low[d] = low[d].min(p[d] - reach);
+                high[d] = high[d].max(p[d] + reach);
+            }
+        }
+        let mut prepared = Vec::with_capacity(channels.len());
+        for (index, channel) in channels.iter().enumerate() {
+            if channel.values.len() != n {
+                return Err(Error::shape(
+                    format!("values of channel {index}"),
+                    format!("({n},) as the track"),
+                    format!("({},)", channel.values.len()),
+                ));
+            }
+            crate::error::require_finite("values", channel.values)?;
+            if channel.field.geographic() != field.geographic() {
+                return Err(Error::invalid(
+                    format!("map of channel {index}"),
+                    "the same kind of coordinates as the first map",
+                    if channel.field.geographic() { "degrees" } else { "metres" },
+                ));
+            }
+            let patch = match laid_out {
+                Some(patch) if index == 0 => Arc::clone(patch),
+                _ => Arc::new(Patch::new(channel.field, low, high)),
+            };
+            let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
+            let noise = Noise::new(channel, options)?;
+            let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
+            let places: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
+            // The kernel's unit is the typical error, so that single precision has room on both sides of it.
+            let variances = places.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
+            let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
+            let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+            let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
+            prepared.push(Prepared { patch, places: vec![places], values, noise, cell_m, unit });
+        }
+        if !nuisance.shapes.is_empty() {
+            let linear_m = prepared.iter().map(Prepared::linear_m).fold(f64::INFINITY, f64::min);
+            nuisance = nuisance.divided(linear_m, &away, &age);
+            for channel in &mut prepared {
+                channel.move_to(&nuisance);
+            }
+        }
+        let tolerance_m = options.tolerance_m.unwrap_or_else(|| (cell[0] * scale_m[0]).max(cell[1] * scale_m[1]));
+        Ok(Self { options, field, channels: prepared, positions, nuisance, scale_m, cell, tolerance_m, spacing_m })
+    }
+
+    pub fn setup<'b>(&'b self, channel: &'b Prepared, node: usize, step: [f64; 2]) -> Setup<'b> {
+        let jitter = self.options.position_sigma_m.powi(2);
+        // The lattice step is the width of a uniform law.
+        let blur = |d: usize| ((step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter) as f32;
+        Setup {
+            patch: &channel.patch,
+            places: &channel.places[node],
+            values: &channel.values,
+            per_unit: (1.0 / channel.unit) as f32,
+            cell_m: channel.cell_m.map(|m| m as f32),
+            half_cells: channel.cells(step).map(|s| (0.5 * s) as f32),
+            blur_m2: [blur(0), blur(1)],
+            sensor_variance: channel.sensor_variance() as f32,
+            levels: &channel.noise.levels,
+            bias_sigma: match self.options.bias_sigma {
+                None => Some(f64::INFINITY),
+                Some(0.0) => None,
+                Some(s) => Some(s / channel.unit),
+            },
+            shapes: &self.nuisance.shapes,
+            narrowed: &self.nuisance.narrowed,
+            min_overlap: self.options.min_overlap,
+        }
+    }
+
+    /// Everything there is to look at.
+    pub fn whole(&self) -> Vec<Scope> {
+        let nodes: Vec<usize> = (0..self.nuisance.nodes.len()).collect();
+        self.channels.iter().map(|c| Scope { levels: 0..c.noise.levels.len(), nodes: nodes.clone() }).collect()
+    }
+
+    /// Log-likelihoods of these offsets in the scope of every channel: densities, or bounds over cells of this step.
+    pub fn likelihoods<const BOUND: bool>(
+        &self,
+        offsets: &[[f64; 2]],
+        step: [f64; 2],
+        scopes: &[Scope],
+    ) -> Likelihoods {
+        let score = |(channel, scope): (&Prepared, &Scope)| {
+            let cells: Vec<[f64; 2]> = offsets.iter().map(|o| channel.cells(*o)).collect();
+            let one = |scratch: &mut Scratch, block: &[[f64; 2]]| {
+                self.score_block::<BOUND>(channel, scope, step, block, scratch)
+            };
+            let work = offsets.len() * self.positions.len() * scope.levels.len() * scope.nodes.len();
+            let (blocks, nodes): (Vec<Scores>, Vec<Vec<[f64; LEVELS]>>) = if work < PARALLEL {
+                let mut scratch = Scratch::default();
+                cells.chunks(LANES).map(|block| one(&mut scratch, block)).unzip()
+            } else {
+                let width = 8_usize.div_ceil(scope.nodes.len());
+                cells.par_chunks(LANES).with_min_len(width).map_init(Scratch::default, one).unzip()
+            };
+            let mut best_of_node = vec![[f64::NEG_INFINITY; LEVELS]; scope.nodes.len()];
+            for block in &nodes {
+                for (best, of_block) in best_of_node.iter_mut().zip(block) {
+                    for (best, log) in best.iter_mut().zip(of_block) {
+                        *best = best.max(*log);
+                    }
+                }
+            }
+            Scored { blocks, best_of_node }
+        };
+        self.channels.iter().zip(scopes).map(score).collect()
+    }
+
+    /// One block, its nodes added up; and the best of each node.
+    fn score_block<const BOUND: bool>(
+        &self,
+        channel: &Prepared,
+        scope: &Scope,
+        step: [f64; 2],
+        cells: &[[f64; 2]],
+        scratch: &mut Scratch,
+    ) -> (Scores, Vec<[f64; LEVELS]>) {
+        let mut sum: Option<Scores> = None;
+        let mut best = Vec::new();
+        for &node in &scope.nodes {
+            let mut setup = self.setup(channel, node, step);
+            if BOUND {
+                setup.blur_m2 = [self.options.position_sigma_m.powi(2) as f32; 2];
+            }
+            let mut scores = kernel::score::<BOUND>(&setup, cells, scope.levels.clone(), scratch);
+            if self.nuisance.nodes.len() > 1 {
+                scores.weigh(self.nuisance.nodes[node].log_weight);
+                best.push(scores.best());
+            }
+            match &mut sum {
+                None => sum = Some(scores),
+                Some(sum) => sum.add(&scores),
+            }
+        }
+        (sum.unwrap_or_else(Scores::nothing), best)
+    }
+
+    /// The node at which this offset is the most likely, given an error level.
+    fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
+        let nodes = self.nuisance.nodes.len();
+        if nodes == 1 {
+            return 0;
+        }
+        let scope = Scope { levels: level..level + 1, nodes: (0..nodes).collect() };
+        let (_, best) =
+            self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut Scratch::default());
+        (1..nodes).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
+    }
+
+    /// Information on the offset at one place under every level, nuisance parameters out: see [`kernel::Detail`].
+    pub fn information(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> Vec<[f64; 3]> {
+        let mut scratch = Scratch::default();
+        (channel.noise.levels.iter().enumerate())
+            .map(|(v, level)| {
+                let setup = self.setup(channel, self.best_node(channel, offset, v, step), step);
+                kernel::detail(&setup, channel.cells(offset), *level, &mut scratch).information
+            })
+            .collect()
+    }
+
+    /// A close look at one offset by the first channel.
+    pub fn detail(&self, offset: [f64; 2], step: [f64; 2]) -> Closer {
+        let channel = &self.channels[0];
+        let levels = &channel.noise.levels;
+        // The middle of a spread of levels, or the worst that an unknown map may be.
+        let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { levels.len() / 2 };
+        let node = self.best_node(channel, offset, index, step);
+        let setup = self.setup(channel, node, step);
+        let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut Scratch::default());
+        let (heading_deg, scale) = self.nuisance.heading_and_scale(&self.nuisance.nodes[node], &detail.theta);
+        Closer {
+            bias: detail.bias * channel.unit,
+            heading_deg,
+            scale,
+            misfit: detail.misfit,
+            known: detail.known,
+            nu: levels[index].nu,
+        }
+    }
+
+    /// What is to be expected at the track's own positions: offset zero, no noise in the values.
+    pub fn expected(&self) -> Expected {
+        let channel = &self.channels[0];
+        let noise = &channel.noise;
+        let levels = &noise.levels;
+        // The level expected of this map: the middle one, or the most probable of an unknown map.
+        let level = levels.iter().copied().fold(levels[0], |a, b| if b.log_prior > a.log_prior { b } else { a });
+        // The first node is the likeliest: nothing moved.
+        let setup = self.setup(channel, 0, [0.0, 0.0]);
+        let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
+        let (map_sigma, distance) = self.along(channel);
+        let scaled: Vec<f64> = map_sigma.iter().map(|s| level.factor * s).collect();
+        let variance = scaled.iter().map(|s| s * s).sum::<f64>() / scaled.len().max(1) as f64;
+        let share = variance / (variance + noise.sensor_variance);
+        let length = noise.correlation * distance;
+        let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };
+        let independent = (1.0 - coefficient) / (1.0 + coefficient);
+        let temper = 1.0 / ((1.0 - share) + share / independent.max(1e-3));
+        let half = self.options.half_width;
+        let prior = [0, 1].map(|d| 3.0 / (half[d] * self.scale_m[d]).powi(2));
+        let invert = |factor: f64| {
+            let [ee, en, nn] = detail.information.map(|i| factor * i);
+            let (ee, nn) = (ee + prior[0], nn + prior[1]);
+            let determinant = ee * nn - en * en;
+            [[nn / determinant, -en / determinant], [-en / determinant, ee / determinant]]
+        };
+        let registration = share * (noise.registration * distance).powi(2);
+        // What the Student-t estimate loses against the normal one where errors are normal: with nu = 3 some 10 %, with 10 some 2 %.
+        let loss = 1.0 + 1.0 / (level.nu * level.nu);
+        let mut covariance = invert(temper);
+        for (d, row) in covariance.iter_mut().enumerate() {
+            for v in row.iter_mut() {
+                *v *= loss;
+            }
+            row[d] += registration;
+        }
+        Expected {
+            bound: invert(1.0),
+            covariance,
+            coefficient,
+            map_sigma: scaled,
+            sensor_sigma: noise.sensor_variance.sqrt(),
+        }
+    }
+
+    /// Map sigma at every indicated position, and the mean distance to the data.
+    fn along(&self, channel: &Prepared) -> (Vec<f64>, f64) {
+        let (mut sigma, mut distance, mut known) = (Vec::with_capacity(self.positions.len()), 0.0, 0.0);
+        for p in &self.positions {
+            let [px, py] = channel.patch.position(p[0], p[1]);
+            let sample = channel.patch.at(px, py);
+            let here = sample.value.is_finite();
+            sigma.push(if here { f64::from(sample.variance).sqrt() } else { 0.0 });
+            if here {
+                distance += f64::from(sample.distance);
+                known += 1.0;
+            }
+        }
+        (sigma, if known > 0.0 { distance / known } else { 0.0 })
+    }
+
+    /// Factor by which correlation widens the law of the mean misfit.
+    pub fn misfit_inflation(&self) -> f64 {
+        let channel = &self.channels[0];
+        let spread = channel.noise.levels.iter().map(|l| l.factor).fold(0.0, f64::max).max(1.0);
+        spread * 3.0
+    }
+}
+
+impl Prepared {
+    /// Displacement up to which the map is linear for what this channel can tell, metres.
+    fn linear_m(&self) -> f64 {
+        let cells = (2.0 * LINEAR * self.unit / self.patch.typical_bend().max(f64::MIN_POSITIVE)).sqrt();
+        cells.clamp(LINEAR_CELLS[0], LINEAR_CELLS[1]) * (self.cell_m[0] * self.cell_m[1]).sqrt()
+    }
+
+    /// Lays the track out at every node.
+    fn move_to(&mut self, nuisance: &Nuisance) {
+        let indicated = &self.places[0];
+        let [east, north] = self.cell_m;
+        self.places = nuisance
+            .nodes
+            .iter()
+            .map(|node| {
+                if node.moved_m.is_empty() {
+                    return indicated.clone();
+                }
+                indicated.iter().zip(&node.moved_m).map(|(p, m)| [p[0] + m[0] / east, p[1] + m[1] / north]).collect()
+            })
+            .collect();
+    }
+
+    /// Map units to cells of this channel's map.
+    pub fn cells(&self, offset: [f64; 2]) -> [f64; 2] {
+        let [x, y] = self.patch.step();
+        [offset[0] / x, offset[1] / y]
+    }
+
+    /// In units of the kernel.
+    pub fn sensor_variance(&self) -> f64 {
+        (self.noise.sensor_variance / (self.unit * self.unit)).max(1e-12)
+    }
+}
