@@ -229,7 +229,7 @@ mod tests {
         let mut options = PosteriorOptions::new([1000.0; 2]);
         options.heading_sigma_deg = 1.0;
         options.scale_sigma = 0.01;
-        options.drift_sigma_m = 50.0;
+        options.drift_sigma_m = 5.0;
         let away: Vec<[f64; 2]> = (0..10).map(|k| [-100.0 * f64::from(9 - k), -300.0 * f64::from(9 - k)]).collect();
         let age: Vec<f64> = (0..10).map(|k| f64::from(9 - k) / 9.0).collect();
         let whole = Nuisance::new(&options, &away, &age);
