@@ -7,8 +7,12 @@ use crate::field::Field;
 
 /// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
-/// Tails of the sensor's own error: nearly normal, yet an outlier of any size counts for little.
+/// Tails of the sensor's own error where it has any: nearly normal, yet an outlier of any size counts for little.
 const SENSOR_NU: f64 = 10.0;
+/// Tails of a sensor without any, and the prior probability that a track's is such: the normal law is worth some percent of
+/// all fixes, and a single outlier in a track tells that it does not hold there.
+const NORMAL_NU: f64 = 1000.0;
+const NORMAL: f64 = 0.97;
 /// Spread of the error level of one track where a sigma is given without an error model.
 const DEFAULT_SPREAD: f64 = 0.35;
 /// Correlation length of map errors in distances to the data, where not learnt.
@@ -141,6 +145,10 @@ pub(super) struct Noise {
     pub sensor_variance: f64,
     /// What the map's error may be.
     pub levels: Vec<Level>,
+    /// How many of the first have bounds of their own; the others lie within those of the first level.
+    pub bounded: usize,
+    /// The level by which places are ranked and residuals are judged.
+    pub typical: usize,
     /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
     pub levels_are_distances: bool,
     /// Correlation length and registration error, in distances to the data.
@@ -159,26 +167,29 @@ impl Noise {
             None => grid.is_none(),
         };
         let spread = model.map_or(DEFAULT_SPREAD, |m| m.scale_spread);
-        let priors: Vec<(f64, f64)> = if exact {
-            vec![(0.0, 0.0)]
-        } else if !stated {
-            UNKNOWN_LEVELS.to_vec()
-        } else if spread == 0.0 {
-            vec![(1.0, 0.0)]
-        } else {
-            [-2.0_f64, -1.0, 0.0, 1.0, 2.0].iter().map(|z| ((spread * z).exp(), -0.5 * z * z)).collect()
-        };
-        let total: f64 = priors.iter().map(|l| l.1.exp()).sum();
         let map_nu = options.nu.or(model.map(|m| m.nu)).unwrap_or(DEFAULT_NU);
         let sensor_nu = options.nu.unwrap_or(SENSOR_NU);
-        let levels = priors
-            .iter()
-            .map(|&(factor, weight)| Level {
-                factor,
-                nu: if factor == 0.0 { sensor_nu } else { map_nu },
-                log_prior: weight - total.ln(),
-            })
-            .collect();
+        let of_factor = |&(factor, log_prior): &(f64, f64)| Level {
+            factor,
+            nu: if factor == 0.0 { sensor_nu } else { map_nu },
+            log_prior,
+        };
+        let mut levels: Vec<Level> = if exact && options.nu.is_none() {
+            let level = |nu: f64, prior: f64| Level { factor: 0.0, nu, log_prior: prior.ln() };
+            vec![level(SENSOR_NU, 1.0 - NORMAL), level(NORMAL_NU, NORMAL)]
+        } else if exact {
+            vec![of_factor(&(0.0, 0.0))]
+        } else if !stated {
+            UNKNOWN_LEVELS.iter().map(of_factor).collect()
+        } else if spread == 0.0 {
+            vec![of_factor(&(1.0, 0.0))]
+        } else {
+            [-2.0_f64, -1.0, 0.0, 1.0, 2.0].iter().map(|z| of_factor(&((spread * z).exp(), -0.5 * z * z))).collect()
+        };
+        let total = levels.iter().map(|l| l.log_prior.exp()).sum::<f64>().ln();
+        for level in &mut levels {
+            level.log_prior -= total;
+        }
         let sensor = match channel.sigma {
             Some(s) => require_not_negative("sigma", s)?,
             None => 0.0,
@@ -192,6 +203,9 @@ impl Noise {
         let floor = floor.max(1e-6 * spread_of_values).max(f64::MIN_POSITIVE.sqrt());
         Ok(Self {
             sensor_variance: sensor.max(floor).powi(2),
+            bounded: if exact { 1 } else { levels.len() },
+            // The middle of a spread.
+            typical: if exact { 0 } else { levels.len() / 2 },
             levels,
             levels_are_distances: !stated,
             correlation: model.map_or(DEFAULT_CORRELATION, |m| m.correlation),
@@ -201,11 +215,6 @@ impl Noise {
 }
 
 impl Noise {
-    /// The level in the middle.
-    pub fn middle(&self) -> usize {
-        self.levels.len() / 2
-    }
-
     /// Displacement of features common to a whole track, per axis, metres.
     pub fn displacement(&self, distance: f64, level: &Level) -> f64 {
         self.registration * distance * if self.levels_are_distances { level.factor.min(1.0) } else { 1.0 }

@@ -3,7 +3,7 @@
 use super::model::PosteriorOptions;
 
 /// Standard deviations of the prior that the nodes cover.
-const REACH: f64 = 3.0;
+const REACH: f64 = 4.0;
 /// Distance between nodes in standard deviations about a node and of the nodes; the sum is then right to 1.4 %: the
 /// ripple is 2 exp(-2 pi^2 / spacing^2).
 const SPACING: f64 = 2.0;

@@ -83,7 +83,7 @@ pub(super) struct Scored {
 pub(super) type Likelihoods = Vec<Scored>;
 
 /// Curvature times half the square of a displacement, in standard deviations of a sample, up to which it is linear.
-const LINEAR: f64 = 0.5;
+const LINEAR: f64 = 0.2;
 /// Bounds of the displacement that is taken as linear, cells of the map.
 const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
 /// Samples times candidates times levels below which one thread is faster than several.
@@ -212,6 +212,15 @@ impl<'a> Problem<'a> {
         self.channels.iter().map(|c| Scope { levels: 0..c.noise.levels.len(), nodes: nodes.clone() }).collect()
     }
 
+    /// The part of a scope over which bounds are taken: see [`Noise::bounded`].
+    pub fn bounded(&self, scopes: &[Scope]) -> Vec<Scope> {
+        let within = |(channel, scope): (&Prepared, &Scope)| {
+            let levels = scope.levels.start..scope.levels.end.min(channel.noise.bounded).max(scope.levels.start + 1);
+            Scope { levels, nodes: scope.nodes.clone() }
+        };
+        self.channels.iter().zip(scopes).map(within).collect()
+    }
+
     /// Log-likelihoods of these offsets in the scope of every channel: densities, or bounds over cells of this step.
     pub fn likelihoods<const BOUND: bool>(
         &self,
@@ -301,8 +310,8 @@ impl<'a> Problem<'a> {
     pub fn detail(&self, offset: [f64; 2], step: [f64; 2]) -> Closer {
         let channel = &self.channels[0];
         let levels = &channel.noise.levels;
-        // The middle of a spread of levels, or the worst that an unknown map may be.
-        let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { levels.len() / 2 };
+        // That of a spread of levels which is typical, or the worst that an unknown map may be.
+        let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { channel.noise.typical };
         let node = self.best_node(channel, offset, index, step);
         let setup = self.setup(channel, node, step);
         let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut Scratch::default());

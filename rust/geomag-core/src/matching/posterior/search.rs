@@ -102,14 +102,15 @@ impl Problem<'_> {
         let mut stages = 1;
         let first_step = step[0];
         let mut scopes = self.whole();
-        let mut bounds = self.likelihoods::<true>(&offsets, step, &scopes);
+        let mut bounded = self.bounded(&scopes);
+        let mut bounds = self.likelihoods::<true>(&offsets, step, &bounded);
         let Some(reference) = self.reference(&offsets, step, &bounds) else {
             // No candidate lies on the map.
             return (self.density(offsets, step, &scopes), Vec::new());
         };
         let mut kept_for_later = Vec::new();
         loop {
-            let excess = self.excess(&reference, &bounds, &scopes, step, offsets.len());
+            let excess = self.excess(&reference, &bounds, &bounded, step, offsets.len());
             if keep && stages == 1 {
                 kept_for_later = select(&offsets, &excess, PRUNE_STREAM, usize::MAX);
             }
@@ -117,7 +118,7 @@ impl Problem<'_> {
                 break;
             }
             let kept = select(&offsets, &excess, PRUNE, SURVIVORS);
-            self.narrow(&mut scopes, &reference, &bounds);
+            self.narrow(&mut scopes, &reference, &bounds, &bounded);
             // A posterior that is wider than the tolerance and that this lattice resolves needs no finer one to say so.
             let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
             if resolved && kept.len() > BROAD || coarse && stages > 1 {
@@ -135,7 +136,8 @@ impl Problem<'_> {
             if step[0] <= reference.step[0] * 1.001 {
                 break;
             }
-            bounds = self.likelihoods::<true>(&offsets, step, &scopes);
+            bounded = self.bounded(&scopes);
+            bounds = self.likelihoods::<true>(&offsets, step, &bounded);
         }
         let mut posterior = self.density(offsets, step, &scopes);
         // Where the mode turned out narrower than the reference said.
@@ -166,7 +168,7 @@ impl Problem<'_> {
                         .channels
                         .iter()
                         .zip(likelihoods)
-                        .map(|(c, scored)| scored.blocks[i / LANES].log_likelihood[c.noise.middle()][i % LANES])
+                        .map(|(c, scored)| scored.blocks[i / LANES].log_likelihood[c.noise.typical][i % LANES])
                         .sum();
                     (sum, i)
                 })
@@ -309,7 +311,7 @@ impl Problem<'_> {
     }
 
     /// Leaves out the error levels and the nodes of the nuisance parameters that no longer carry anything.
-    fn narrow(&self, scopes: &mut [Scope], reference: &Reference, bounds: &Likelihoods) {
+    fn narrow(&self, scopes: &mut [Scope], reference: &Reference, bounds: &Likelihoods, bounded: &[Scope]) {
         for (c, scope) in scopes.iter_mut().enumerate() {
             let weights = &reference.weights[c];
             let carries = |v: &usize| weights[*v] + LEVEL_SLACK > LEVEL_FLOOR;
@@ -318,10 +320,10 @@ impl Problem<'_> {
                 scope.levels = first..last + 1;
             }
             if scope.nodes.len() > 1 {
-                let law = self.law(&self.channels[c], &bounds[c].blocks, levels);
+                let law = self.law(&self.channels[c], &bounds[c].blocks, bounded[c].levels.clone());
                 let within = |best: &[f64; LEVELS]| {
                     let below = |v: usize| law.temper[v] * (best[v] - reference.log_likelihood[c][v]);
-                    scope.levels.clone().any(|v| below(v) > -PRUNE)
+                    bounded[c].levels.clone().any(|v| below(v) > -PRUNE)
                 };
                 let kept: Vec<bool> = bounds[c].best_of_node.iter().map(within).collect();
                 if kept.contains(&true) {

@@ -205,7 +205,7 @@ impl PosteriorMatcher {
             }
             return Ok(self.step(None));
         }
-        self.state.next = s.seen + (n / 2).max(1);
+        self.state.next = s.seen + (n / 4).max(1);
         self.spread(SETTLED);
         let (fix, kept) = self.solve(true)?;
         self.state.status = fix.status;
