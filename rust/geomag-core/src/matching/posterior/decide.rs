@@ -2,6 +2,7 @@
 
 use super::density::Posterior;
 use super::problem::Problem;
+use super::search::Lattice;
 use crate::fix::{Fix, Status, Surface};
 use crate::track::Track;
 
@@ -64,7 +65,7 @@ pub(super) fn normal_tail(z: f64) -> f64 {
 }
 
 /// Makes the answer of a posterior.
-pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior) -> Fix {
+pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior, lattice: &Lattice) -> Fix {
     let n = track.len();
     let Some(mode) = posterior.mode() else {
         return Fix::none(Status::Lost, n);
@@ -125,7 +126,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         })
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
-    let status = status(problem, posterior, &p, offset, risk, goodness, runner_up, second);
+    let status = status(problem, posterior, lattice, &p, offset, risk, goodness, runner_up, second);
     // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
     let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
     let covariance = [
@@ -150,6 +151,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
 fn status(
     problem: &Problem<'_>,
     posterior: &Posterior,
+    lattice: &Lattice,
     p: &[f64],
     offset: [f64; 2],
     risk: f64,
@@ -163,8 +165,9 @@ fn status(
         return Status::Rejected;
     }
     let half_m = [options.half_width[0] * scale[0], options.half_width[1] * scale[1]];
-    let at_edge = (0..2).any(|d| offset[d].abs() > options.half_width[d] - 0.5 * posterior.step[d]);
-    if at_edge {
+    // Within a step of where the search ends: what lies beyond may be better. Up to there the answer has been seen from both sides.
+    let edge = lattice.edge();
+    if (0..2).any(|d| offset[d].abs() > edge[d] - posterior.step[d]) {
         return Status::AtEdge;
     }
     if risk <= options.max_risk {

@@ -78,13 +78,14 @@ pub fn match_posterior(
 /// As [`match_posterior`]; [`Error::Shape`](crate::error::Error::Shape) where a channel has another number of values.
 pub fn match_channels(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions) -> Result<Fix> {
     let problem = Problem::new(channels, track, options)?;
-    let (offsets, step) = problem.lattice()?;
-    let posterior = problem.solve(offsets, step);
-    let mut fix = decide::answer(&problem, track, &posterior);
+    let lattice = problem.lattice()?;
+    let posterior = problem.solve(lattice.offsets(), lattice.step);
+    let mut fix = decide::answer(&problem, track, &posterior, &lattice);
     if options.surface {
+        let step = lattice.step;
         let fixed = PosteriorOptions { step: Some(step), ..options.clone() };
         let problem = Problem::new(channels, track, &fixed)?;
-        let (offsets, step) = problem.lattice()?;
+        let offsets = lattice.offsets();
         let posterior = problem.solve(offsets.clone(), step);
         let mut log_p = vec![f64::NEG_INFINITY; offsets.len()];
         if posterior.log_p.len() == log_p.len() {

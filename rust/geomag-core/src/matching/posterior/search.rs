@@ -5,6 +5,7 @@ use super::kernel::LANES;
 use super::model::{LEVELS, PosteriorOptions};
 use super::problem::{Likelihoods, Problem, Scope};
 use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
 
 /// Tempered log-likelihood below the best at which a cell is not refined any further, going by the bound over the cell.
 const PRUNE: f64 = 12.0;
@@ -48,9 +49,9 @@ struct Reference {
 }
 
 impl Problem<'_> {
-    /// The offsets of the first stage and their step.
-    pub fn lattice(&self) -> Result<(Vec<[f64; 2]>, [f64; 2])> {
-        lattice(self.cell, self.options)
+    /// The offsets of the first stage.
+    pub fn lattice(&self) -> Result<Lattice> {
+        Lattice::new(self.cell, self.options)
     }
 
     /// The posterior over `offsets`, refined around the modes unless the caller set the step.
@@ -388,34 +389,52 @@ fn children(cells: &[[f64; 2]], step: [f64; 2]) -> Vec<[f64; 2]> {
     cells.iter().flat_map(|o| [[-x, -y], [x, -y], [-x, y], [x, y]].map(|[u, v]| [o[0] + u, o[1] + v])).collect()
 }
 
-/// Lattice steps from the middle to the edge.
-pub(super) fn lattice_half(half_width: f64, step: f64) -> i64 {
-    (half_width / step - 1e-9).ceil().max(0.0) as i64
+/// The offsets of the first stage: whole multiples of `step` up to `most` of them either way.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Lattice {
+    /// Map units.
+    pub step: [f64; 2],
+    pub most: [i64; 2],
 }
 
-/// The offsets of the first stage and their step, for a map of the given cell.
-pub(super) fn lattice(cell: [f64; 2], options: &PosteriorOptions) -> Result<(Vec<[f64; 2]>, [f64; 2])> {
-    let half = options.half_width;
-    let step = options.step.unwrap_or_else(|| {
-        // One cell, or coarser for a wide start: later stages refine, and the variance knows the step.
-        let cells = (2.0 * half[0] / cell[0] + 1.0) * (2.0 * half[1] / cell[1] + 1.0);
-        let factor = (cells / FIRST_STAGE).sqrt().max(1.0);
-        // Beyond a few cells a coarse sample says nothing about the features between.
-        let factor = factor.min(4.0);
-        [cell[0] * factor, cell[1] * factor]
-    });
-    let count = |d: usize| 2 * lattice_half(half[d], step[d]) as u128 + 1;
-    let (columns, rows) = (count(0), count(1));
-    let needed = columns.saturating_mul(rows);
-    if needed > u128::from(options.max_candidates) {
-        return Err(Error::TooManyCandidates { what: "offset lattice".into(), needed, limit: options.max_candidates });
-    }
-    let (cx, cy) = ((columns / 2) as f64, (rows / 2) as f64);
-    let mut offsets = Vec::with_capacity(needed as usize);
-    for j in 0..rows as usize {
-        for i in 0..columns as usize {
-            offsets.push([(i as f64 - cx) * step[0], (j as f64 - cy) * step[1]]);
+impl Lattice {
+    /// That of a search on a map of the given cell.
+    pub fn new(cell: [f64; 2], options: &PosteriorOptions) -> Result<Self> {
+        let half = options.half_width;
+        let step = options.step.unwrap_or_else(|| {
+            // One cell, or coarser for a wide start: later stages refine, and the variance knows the step.
+            let cells = (2.0 * half[0] / cell[0] + 1.0) * (2.0 * half[1] / cell[1] + 1.0);
+            let factor = (cells / FIRST_STAGE).sqrt().max(1.0);
+            // Beyond a few cells a coarse sample says nothing about the features between.
+            let factor = factor.min(4.0);
+            [cell[0] * factor, cell[1] * factor]
+        });
+        let most = [0, 1].map(|d| (half[d] / step[d] - 1e-9).ceil().max(0.0) as i64);
+        let [columns, rows] = most.map(|m| 2 * m as u128 + 1);
+        let needed = columns.saturating_mul(rows);
+        if needed > u128::from(options.max_candidates) {
+            let limit = options.max_candidates;
+            return Err(Error::TooManyCandidates { what: "offset lattice".into(), needed, limit });
         }
+        Ok(Self { step, most })
     }
-    Ok((offsets, step))
+
+    /// All of them, row by row.
+    pub fn offsets(&self) -> Vec<[f64; 2]> {
+        let [columns, rows] = self.most;
+        (-rows..=rows).flat_map(|j| (-columns..=columns).map(move |i| self.offset([i, j]))).collect()
+    }
+
+    pub fn offset(&self, node: [i64; 2]) -> [f64; 2] {
+        [0, 1].map(|d| node[d] as f64 * self.step[d])
+    }
+
+    pub fn node(&self, offset: [f64; 2]) -> [i64; 2] {
+        [0, 1].map(|d| (offset[d] / self.step[d]).round() as i64)
+    }
+
+    /// Where the cells of the outermost offsets end, map units.
+    pub fn edge(&self) -> [f64; 2] {
+        [0, 1].map(|d| (self.most[d] as f64 + 0.5) * self.step[d])
+    }
 }

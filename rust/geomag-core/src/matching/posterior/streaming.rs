@@ -14,7 +14,7 @@ use super::model::{Channel, Noise, PosteriorOptions};
 use super::nuisance::reach_m;
 use super::patch::Patch;
 use super::problem::Problem;
-use super::search::{lattice, lattice_half};
+use super::search::Lattice;
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
@@ -62,7 +62,7 @@ struct State {
     y: Vec<f64>,
     values: Vec<f64>,
     seen: usize,
-    step: [f64; 2],
+    lattice: Lattice,
     candidates: Vec<Candidate>,
     /// By how much the offset may have moved since the candidates were last spread, metres.
     moved_m: f64,
@@ -152,8 +152,8 @@ impl PosteriorMatcher {
         if max_samples < FEWEST {
             return Err(Error::invalid("max_samples", format!("at least {FEWEST}"), max_samples));
         }
-        let (offsets, step) = lattice(field.spacing(), &options)?;
-        let candidates = offsets.into_iter().map(Candidate::new).collect();
+        let lattice = Lattice::new(field.spacing(), &options)?;
+        let candidates = lattice.offsets().into_iter().map(Candidate::new).collect();
         let state = State {
             options,
             sigma,
@@ -162,7 +162,7 @@ impl PosteriorMatcher {
             y: Vec::new(),
             values: Vec::new(),
             seen: 0,
-            step,
+            lattice,
             candidates,
             moved_m: 0.0,
             next: FEWEST,
@@ -235,8 +235,8 @@ impl PosteriorMatcher {
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
         let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref().map(|(_, patch)| patch))?;
         let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
-        let (posterior, kept) = problem.solve_going_on(offsets, s.step, coarse);
-        Ok((decide::answer(&problem, &track, &posterior), kept))
+        let (posterior, kept) = problem.solve_going_on(offsets, s.lattice.step, coarse);
+        Ok((decide::answer(&problem, &track, &posterior, &s.lattice), kept))
     }
 
     /// Forgets all samples.
@@ -344,7 +344,7 @@ impl PosteriorMatcher {
         let Some((_, patch)) = &self.patch else { return Ok(()) };
         let worst = noise.levels.iter().map(|l| l.factor).fold(0.0, f64::max).powi(2);
         let value = value - patch.level;
-        let step = self.state.step;
+        let step = self.state.lattice.step;
         let cell = patch.step();
         let (half_x, half_y) = (0.5 * step[0] / cell[0], 0.5 * step[1] / cell[1]);
         let scale_m = self.field.metres_per_unit(y);
@@ -396,14 +396,14 @@ impl PosteriorMatcher {
         let s = &mut self.state;
         let (Some(&y), Some(first)) = (s.y.last(), s.candidates.first()) else { return };
         let scale_m = self.field.metres_per_unit(y);
-        let steps = [0, 1].map(|d| s.moved_m / (s.step[d] * scale_m[d]));
+        let steps = [0, 1].map(|d| s.moved_m / (s.lattice.step[d] * scale_m[d]));
         if steps[0].max(steps[1]) <= share {
             return;
         }
         s.moved_m = 0.0;
         let rings = steps.map(|s| s.ceil() as i64);
-        let most = [0, 1].map(|d| lattice_half(s.options.half_width[d], s.step[d]));
-        let node = |c: &Candidate| [0, 1].map(|d| (c.offset[d] / s.step[d]).round() as i64);
+        let most = s.lattice.most;
+        let node = |c: &Candidate| s.lattice.node(c.offset);
         let (mut low, mut high) = (node(first), node(first));
         for at in s.candidates.iter().map(node) {
             for d in 0..2 {
@@ -423,7 +423,7 @@ impl PosteriorMatcher {
             for j in (at[1] - rings[1]).max(low[1])..=(at[1] + rings[1]).min(high[1]) {
                 for i in (at[0] - rings[0]).max(low[0])..=(at[0] + rings[0]).min(high[0]) {
                     let place = &mut spread[(j - low[1]) as usize * columns + (i - low[0]) as usize];
-                    let offset = [i as f64 * s.step[0], j as f64 * s.step[1]];
+                    let offset = s.lattice.offset([i, j]);
                     place.get_or_insert(Candidate { offset, ..*c }).join(c);
                 }
             }
