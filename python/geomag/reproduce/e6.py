@@ -192,26 +192,8 @@ def run(context: Context) -> Report:
                 if name == "recommended" and hours == HOURS[1] and example is None:
                     example = (leg, two, runs["at the last fix"])
             rows += [
-                [
-                    hours,
-                    median(ins),
-                    name,
-                    "batch",
-                    "100 min",
-                    "once",
-                    median(single["newest"]),
-                    median(single["track"]),
-                ],
-                [
-                    hours,
-                    median(ins),
-                    name,
-                    "batch",
-                    "100 min",
-                    "until at rest",
-                    median(twice["newest"]),
-                    median(twice["track"]),
-                ],
+                [hours, median(ins), name, "batch", "100 min", passes, median(found["newest"]), median(found["track"])]
+                for passes, found in (("once", single), ("until at rest", twice))
             ]
             for kind, found in slides.items():
                 rows.append(
