@@ -88,6 +88,41 @@ def score(criterion, v, m, map_mean, *, w=None, remove_mean=False, s=None, scale
     raise AssertionError(criterion)
 
 
+def harmonic_field(model, north, east, down):
+    """Field of a rectangular harmonic model at points (n,) by the specification's formulas, one coefficient after the other."""
+    v, w = 2 * np.pi / np.array(model.periods_m)
+    c = model.coefficients
+    field = np.tile(-c[:3], (len(north), 1))
+    for value, (t, r, along_x, along_y) in zip(c[3:], model.terms(model.order), strict=True):
+        tv, rw = t * v, r * w
+        u = np.hypot(tv, rw)
+        level = value * np.exp(u * down)
+        sx, cx, sy, cy = np.sin(tv * north), np.cos(tv * north), np.sin(rw * east), np.cos(rw * east)
+        x, dx = (sx, tv * cx) if along_x == "sin" else (cx, -tv * sx)
+        y, dy = (sy, rw * cy) if along_y == "sin" else (cy, -rw * sy)
+        field[:, 0] -= dx * y * level
+        field[:, 1] -= x * dy * level
+        field[:, 2] -= u * x * y * level
+    return field
+
+
+def harmonic_field_at_once(model):
+    """The same at one point (east, north) of the level down = 0, all terms at once and the constants left out: NumPy at its best."""
+    c, terms = model.coefficients[3:], model.terms(model.order)
+    v, w = 2 * np.pi / np.array(model.periods_m)
+    t, r = (np.array([term[k] for term in terms]) * wave for k, wave in ((0, v), (1, w)))
+    sine_x, sine_y = (np.array([term[k] == "sin" for term in terms]) for k in (2, 3))
+    u = np.hypot(t, r)
+
+    def field(x):
+        sx, cx, sy, cy = np.sin(t * x[1]), np.cos(t * x[1]), np.sin(r * x[0]), np.cos(r * x[0])
+        fx, dx = np.where(sine_x, sx, cx), np.where(sine_x, t * cx, -t * sx)
+        fy, dy = np.where(sine_y, sy, cy), np.where(sine_y, r * cy, -r * sy)
+        return -np.array([c @ (dx * fy), c @ (fx * dy), c @ (u * fx * fy)])
+
+    return field
+
+
 class NaiveIema:
     """The paper's rule on whole matrices, candidate by candidate."""
 

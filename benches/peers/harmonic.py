@@ -10,6 +10,7 @@ import pickle
 import time
 
 import numpy as np
+from oracles import harmonic_field, harmonic_field_at_once
 
 import geomag
 from geomag.cli.bench import best_of
@@ -28,43 +29,12 @@ def model_of_order_18(half=2e5):
     return geomag.RectangularHarmonicModel.from_coefficients(ORDER, period, coefficients, region=region)
 
 
-def term_by_term(model, north, east, down):
-    v, w = 2 * np.pi / np.array(model.periods_m)
-    c = model.coefficients
-    field = np.tile(-c[:3], (len(north), 1))
-    for value, (t, r, along_x, along_y) in zip(c[3:], model.terms(model.order), strict=True):
-        tv, rw = t * v, r * w
-        u = np.hypot(tv, rw)
-        level = value * np.exp(u * down)
-        x, dx = np.cos(tv * north), -tv * np.sin(tv * north)
-        if along_x == "sin":
-            x, dx = -dx / tv, tv * x
-        y, dy = np.cos(rw * east), -rw * np.sin(rw * east)
-        if along_y == "sin":
-            y, dy = -dy / rw, rw * y
-        field[:, 0] -= dx * y * level
-        field[:, 1] -= x * dy * level
-        field[:, 2] -= u * x * y * level
-    return field
-
-
 def navigation(smoke):
     """A step of the filter on a harmonic model of order 10, three components."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
     model = e7.wavy_field(np.random.default_rng(13), 3.0)
-    c, terms = model.coefficients[3:], model.terms(model.order)
-    wave = 2 * np.pi / e7.PERIOD_M
-    t, r = (np.array([term[k] for term in terms]) * wave for k in (0, 1))
-    sine_x, sine_y = (np.array([term[k] == "sin" for term in terms]) for k in (2, 3))
-    u = np.hypot(t, r)
-
-    def numpy_field(x):
-        sx, cx, sy, cy = np.sin(t * x[1]), np.cos(t * x[1]), np.sin(r * x[0]), np.cos(r * x[0])
-        fx, dx = np.where(sine_x, sx, cx), np.where(sine_x, t * cx, -t * sx)
-        fy, dy = np.where(sine_y, sy, cy), np.where(sine_y, r * cy, -r * sy)
-        return -np.array([c @ (dx * fy), c @ (fx * dy), c @ (u * fx * fy)])
-
+    numpy_field = harmonic_field_at_once(model)
     steps = 20 if smoke else 200
     move = e7.SPEED_M_S * e7.course_unit()
     truth = e7.TRUE_START + move * np.arange(1, steps + 1)[:, None]
@@ -106,7 +76,7 @@ def table(smoke=False):
     rng = np.random.default_rng(1)
     points = rng.uniform(-2e5, 2e5, n), rng.uniform(-2e5, 2e5, n), rng.uniform(-1e4, 7e3, n)
     ours, field = best_of(5, lambda: model.field(*points))
-    numpy, wanted = best_of(1 if smoke else 2, lambda: term_by_term(model, *points))
+    numpy, wanted = best_of(1 if smoke else 2, lambda: harmonic_field(model, *points))
     np.testing.assert_allclose(field, wanted, atol=1e-7)
     case = f"order 18, {n} points"
     yield case, "geomag", ours, 1e9 * ours / n, 1.0

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import geomag
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
+#: The naive forms of the tests' oracles are what a script has.
+ORACLES = HERE.parents[1] / "tests"
 
 
 def main():
@@ -20,7 +22,7 @@ def main():
     parser.add_argument("--record", action="store_true", help="keep the result in benches/records")
     parser.add_argument("names", nargs="*", help="tables to run, all by default")
     arguments = parser.parse_args()
-    sys.path.insert(0, str(HERE))
+    sys.path[:0] = [str(HERE), str(ORACLES)]
     names = arguments.names or sorted(p.stem for p in HERE.glob("*.py") if p.stem != "run")
     lines = [
         f"geomag {geomag.__version__}, {geomag.instruction_set}, {platform.machine()}, Python {platform.python_version()}",

@@ -98,10 +98,13 @@ class Context:
         return max(least, round(full * self.effort))
 
     def save(self, figure: Figure, name: str) -> Path:
-        """Write a picture into the output folder."""
-        self.out.mkdir(parents=True, exist_ok=True)
-        path = self.out / f"{name}.png"
-        figure.savefig(path, dpi=130)
+        """Write a picture into the output folder and close it."""
+        from matplotlib import pyplot
+
+        from geomag.plot import save
+
+        path = save(figure, self.out / f"{name}.png")
+        pyplot.close(figure)
         return path
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from geomag.io import read_grid
 from geomag.reproduce import Context, Report, Table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -82,7 +83,7 @@ def refined_map(context: Context, file: str, spacing_m: float = 250.0) -> GridMa
     spline = interpolate.RectBivariateSpline(coarse.y, coarse.x, np.asarray(coarse.values, dtype=float))
     x = np.arange(0.0, (coarse.x[-1] - coarse.x[0]) * east, spacing_m)
     y = np.arange(0.0, (coarse.y[-1] - coarse.y[0]) * north, spacing_m)
-    return GridMap(spline(coarse.y[0] + y / north, coarse.x[0] + x / east), x, y, name=file, units="nT")
+    return GridMap(spline(coarse.y[0] + y / north, coarse.x[0] + x / east), x, y, name="anomaly", units="nT")
 
 
 @dataclass(frozen=True)
@@ -501,9 +502,11 @@ def tune(context: Context, grid: GridMap, region: Region, trials: int) -> tuple[
     ), settings
 
 
-def picture(context: Context, grid: GridMap, region: Region, curves: dict[str, list[float]]) -> list[Any]:
+def picture(context: Context, grid: GridMap, region: Region, curves: dict[str, list[float]]) -> list[Path]:
     """One track with its contours, and the distribution of errors by sequence."""
-    figure_module = require("matplotlib.figure", "plot", "the pictures of the report")
+    from geomag.plot import COLOURS, error_distribution, field_map, style, tracks
+    from geomag.plot._style import new_figure
+
     rng = np.random.default_rng([context.seed, 300])
     noise = float(np.sqrt(region.noise_variance))
     while True:
@@ -512,42 +515,29 @@ def picture(context: Context, grid: GridMap, region: Region, curves: dict[str, l
         if picks is not None:
             break
     fix = iccp(grid, flight.track(picks))
-    figure = figure_module.Figure(figsize=(7, 6), layout="constrained")
-    axes: Axes = figure.add_subplot()
-    low, high = flight.truth[picks].min(axis=0) - 4000, flight.truth[picks].max(axis=0) + 4000
-    columns = (grid.x >= low[0]) & (grid.x <= high[0])
-    rows = (grid.y >= low[1]) & (grid.y <= high[1])
-    lines = axes.contour(
-        grid.x[columns] / 1000,
-        grid.y[rows] / 1000,
-        grid.values[np.ix_(rows, columns)],
-        25,
-        cmap="viridis",
-        linewidths=0.7,
+    true, indicated = flight.truth[picks], flight.indicated[picks]
+    off = np.hypot(*(np.array([fix.x, fix.y]) - true[-1]))
+    low, high = true.min(axis=0) - 4000, true.max(axis=0) + 4000
+    axes = field_map(
+        grid,
+        bounds=(low[0], low[1], high[0], high[1]),
+        title=f"{region.key}: ICCP on a delta-modulation sequence, {off:.0f} m off",
     )
-    figure.colorbar(lines, label="anomaly, nT")
-    for points, style, label in (
-        (flight.truth[picks], "k.-", "true"),
-        (flight.indicated[picks], "r.-", "indicated"),
-        (fix.track, "b.-", f"matched, {np.hypot(*(np.array([fix.x, fix.y]) - flight.truth[picks[-1]])):.0f} m off"),
-    ):
-        axes.plot(*(np.asarray(points).T / 1000), style, label=label, markersize=4, linewidth=1)
-    axes.set(
-        xlabel="east, km",
-        ylabel="north, km",
-        title=f"{region.key}: ICCP on a delta-modulation sequence",
-        aspect="equal",
-    )
-    axes.legend()
-    shares = figure_module.Figure(figsize=(7, 4.5), layout="constrained")
-    axes = shares.add_subplot()
-    for name, errors in curves.items():
-        axes.plot(np.sort(errors), np.arange(1, len(errors) + 1) / len(errors), label=name)
-    axes.axvline(OFFSET_M, color="0.5", linestyle=":", label="INS error")
-    axes.set(xlabel="error at the correction point, m", ylabel="share of tracks", xlim=(0, 2000), ylim=(0, 1))
-    axes.set_title(f"{region.key}: noise variance {region.noise_variance:g} nT$^2$, offset alone")
-    axes.legend()
-    return [context.save(figure, f"{region.key.lower()}-track"), context.save(shares, f"{region.key.lower()}-errors")]
+    tracks(axes, true=true, indicated=indicated, matched=fix, legend=False)
+    with style():
+        axes.legend(loc="best")
+        shares = error_distribution(
+            curves,
+            new_figure(6.4, 4.2).add_subplot(),
+            title=f"{region.key}: noise variance {region.noise_variance:g} nT$^2$, offset alone",
+        )
+        shares.axvline(OFFSET_M, color=COLOURS["neutral"], lw=1.0, label="INS error")
+        shares.legend(loc="lower right")
+    name = region.key.lower()
+    return [
+        context.save(cast("Figure", axes.figure), f"{name}-track"),
+        context.save(cast("Figure", shares.figure), f"{name}-errors"),
+    ]
 
 
 def run(context: Context, region: Region) -> Report:

@@ -72,12 +72,12 @@ def run(context: Context) -> Report:
 
 
 def _picture(context: Context, cases: dict[str, list[Outcome]]) -> Path:
-    import matplotlib.pyplot as plt
-
     from geomag.plot import COLOURS, style
+    from geomag.plot._style import new_figure
 
     with style():
-        figure, axes = plt.subplots(2, 2, figsize=(9, 6), sharex=True, layout="constrained")
+        figure = new_figure(9.0, 6.0)
+        axes = figure.subplots(2, 2, sharex=True)
         for ax, (label, ends) in zip(axes.flat, cases.items(), strict=True):
             bins = np.arange(0.5, 41.5)
             right = [e.samples for e in ends if e.status == "fixed" and e.error_cells <= 1.0]
@@ -90,9 +90,8 @@ def _picture(context: Context, cases: dict[str, list[Outcome]]) -> Path:
                 color=[COLOURS["matched"], COLOURS["indicated"]],
             )
             ax.set_title(label, fontsize=9)
-            ax.set_xlabel("samples until a single candidate is left")
             ax.set_ylabel("trials")
+        for ax in axes[-1]:
+            ax.set_xlabel("samples until a single candidate is left")
         axes.flat[0].legend()
-    path = context.save(figure, "e2_lengths")
-    plt.close(figure)
-    return path
+    return context.save(figure, "e2_lengths")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -191,26 +192,8 @@ def run(context: Context) -> Report:
                 if name == "recommended" and hours == HOURS[1] and example is None:
                     example = (leg, two, runs["at the last fix"])
             rows += [
-                [
-                    hours,
-                    median(ins),
-                    name,
-                    "batch",
-                    "100 min",
-                    "once",
-                    median(single["newest"]),
-                    median(single["track"]),
-                ],
-                [
-                    hours,
-                    median(ins),
-                    name,
-                    "batch",
-                    "100 min",
-                    "until at rest",
-                    median(twice["newest"]),
-                    median(twice["track"]),
-                ],
+                [hours, median(ins), name, "batch", "100 min", passes, median(found["newest"]), median(found["track"])]
+                for passes, found in (("once", single), ("until at rest", twice))
             ]
             for kind, found in slides.items():
                 rows.append(
@@ -268,21 +251,25 @@ def run(context: Context) -> Report:
 
 def picture(
     context: Context, grid: GridMap, leg: Leg, batch: dict[str, list[float]], slide: dict[str, list[float]]
-) -> Any:  # noqa: ANN401
+) -> Path:
     """Error over time of one leg."""
-    figure_module = require("matplotlib.figure", "plot", "the pictures of the report")
-    figure = figure_module.Figure(figsize=(7.5, 4.5), layout="constrained")
-    axes = figure.add_subplot()
+    from geomag.plot import COLOURS, style
+    from geomag.plot._style import new_figure
+
     hours = leg.time_s / 3600.0
     ins = [metres(grid, a, b) / 1000 for a, b in zip(leg.indicated, leg.truth, strict=True)]
-    axes.plot(hours, ins, "0.5", label="INS alone")
-    axes.step(hours, np.array(batch["track"]) / 1000, where="post", label="batch, fix every 100 min")
-    axes.step(hours, np.array(slide["track"]) / 1000, where="post", label="sliding, fix every 5 min")
-    axes.set(
-        xlabel="time, h",
-        ylabel="position error, km",
-        ylim=(0, None),
-        title="E6: gravity, recommended settings, one leg",
-    )
-    axes.legend()
+    with style():
+        figure = new_figure(6.4, 4.2)
+        axes = figure.add_subplot()
+        axes.plot(hours, ins, color=COLOURS["indicated"], ls="--", label="INS alone")
+        for label, track, colour, dash in (
+            ("batch, fix every 100 min", batch["track"], "neutral", "-."),
+            ("sliding, fix every 5 min", slide["track"], "matched", "-"),
+        ):
+            axes.step(hours, np.array(track) / 1000, where="post", color=COLOURS[colour], ls=dash, label=label)
+        axes.set(ylim=(0, None), title="E6: gravity, recommended settings, one leg")
+        axes.set_xlabel("time (h)")
+        axes.set_ylabel("position error (km)")
+        axes.grid(True)
+        axes.legend(loc="upper left")
     return context.save(figure, "e6-leg")

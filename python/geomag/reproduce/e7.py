@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._geomag import FieldNavigator, RectangularHarmonicModel
+from geomag._geomag import FieldNavigator, GridMap, RectangularHarmonicModel
 from geomag.reproduce import Context, Report, Table
 
 if TYPE_CHECKING:
@@ -171,38 +171,41 @@ def _papers_run(context: Context) -> tuple[list[tuple[object, ...]], list[Path]]
 
 
 def _track_figure(model: RectangularHarmonicModel, run: Sail, label: str) -> Figure:
-    from matplotlib.figure import Figure
+    from geomag.plot import COLOURS, field_map, style, tracks
 
-    figure = Figure(figsize=(6.4, 4.6), layout="constrained")
-    axes = figure.add_subplot()
     both = np.concatenate([run.truth, run.estimated])
     low, high = both.min(axis=0) - 20.0, both.max(axis=0) + 20.0
     east, north = np.linspace(low[0], high[0], 160), np.linspace(low[1], high[1], 160)
     down = model.field_grid(north, east, 0.0, extrapolate=True)[:, :, 2]
-    image = axes.pcolormesh(east, north, down, cmap="Greys", shading="nearest", alpha=0.7)
-    figure.colorbar(image, ax=axes, label="downward component (nT)")
-    axes.plot(*run.truth.T, color="black", lw=1.4, label="true track")
-    axes.plot(*run.estimated.T, color="tab:red", lw=1.0, ls="--", label="filter")
-    axes.plot(*FILTER_START, marker="o", color="tab:red", ls="none", label="filter's start")
-    axes.set(xlabel="east (m)", ylabel="north (m)", title=f"3 nT/m, {label}", aspect="equal")
-    axes.legend(loc="upper left")
-    return figure
+    field = GridMap(down, east, north, name="downward component", units="nT")
+    axes = field_map(field, title=f"3 nT/m, {label}")
+    tracks(axes, true=run.truth, matched=run.estimated, legend=False)
+    with style():
+        axes.plot(*FILTER_START, marker="s", color=COLOURS["accent"], ls="none", label="start", zorder=7)
+        handles, _ = axes.get_legend_handles_labels()
+        axes.legend(handles, ("true track", "filter", "filter's start"), loc="upper left")
+    return cast("Figure", axes.figure)
 
 
 def _gradient_figure(tables: dict[str, list[tuple[object, ...]]]) -> Figure:
-    from matplotlib.figure import Figure
+    from geomag.plot import COLOURS, style
+    from geomag.plot._style import new_figure
 
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    for colour, (label, rows) in zip(("tab:red", "tab:blue"), tables.items(), strict=True):
-        values = np.array([[float(v) for v in row[:3]] for row in rows])  # type: ignore[arg-type]
-        axes.loglog(values[:, 0], values[:, 1], color=colour, marker="o", ms=4, label=f"{label}: filter")
-        axes.loglog(values[:, 0], values[:, 2], color=colour, ls="--", lw=1.0, label=f"{label}: Cramer-Rao bound")
-    axes.axhline(2.0, color="black", lw=0.8, label="the paper's 2 m")
-    axes.axvspan(0.01, 0.1, color="grey", alpha=0.15, lw=0, label="crustal gradients, 10 to 100 nT/km")
-    axes.set(xlabel="rms horizontal gradient of a component (nT/m)", ylabel="rms position error (m)")
-    axes.grid(visible=True, which="both", lw=0.3)
-    axes.legend(fontsize=8)
+    with style():
+        figure = new_figure(6.4, 4.2)
+        axes = figure.add_subplot()
+        for name, mark, (label, rows) in zip(("indicated", "matched"), "so", tables.items(), strict=True):
+            values = np.array([[float(v) for v in row[:3]] for row in rows])  # type: ignore[arg-type]
+            axes.loglog(values[:, 0], values[:, 1], color=COLOURS[name], marker=mark, label=f"{label}: filter")
+            axes.loglog(
+                values[:, 0], values[:, 2], color=COLOURS[name], ls="--", lw=1.0, label=f"{label}: Cramer-Rao bound"
+            )
+        axes.axhline(2.0, color=COLOURS["true"], lw=0.8, label="the paper's 2 m")
+        axes.axvspan(0.01, 0.1, color=COLOURS["neutral"], alpha=0.15, lw=0, label="crustal gradients, 10 to 100 nT/km")
+        axes.set_xlabel("rms horizontal gradient of a component (nT/m)")
+        axes.set_ylabel("rms position error (m)")
+        axes.grid(True)
+        axes.legend()
     return figure
 
 

@@ -138,19 +138,8 @@ impl Fix {
             y,
             offset,
             offset_m: [offset[0] * east, offset[1] * north],
-            heading_deg: 0.0,
-            scale: 1.0,
-            bias: None,
-            covariance_m2: None,
-            risk: None,
-            goodness: None,
-            status,
-            score: f64::NAN,
-            runner_up: f64::NAN,
-            n_samples: 1,
-            iterations: 1,
             track: vec![[x, y]],
-            surface: None,
+            ..Self::none(status, 1)
         }
     }
 

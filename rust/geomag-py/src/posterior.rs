@@ -19,43 +19,18 @@ use crate::track::PyTrack;
 /// A further field measured along the track: its map, values and sensor sigma.
 type Extra = (Arc<dyn Field>, Vec<f64>, Option<f64>);
 
-#[allow(clippy::too_many_arguments)] // one each, keyword-only in Python
-pub fn options(
-    half_width: &Bound<'_, PyAny>,
-    step: Option<&Bound<'_, PyAny>>,
-    tolerance_m: Option<f64>,
-    max_risk: f64,
-    bias_sigma: Option<f64>,
-    drift_sigma_m: f64,
-    heading_sigma_deg: f64,
-    scale_sigma: f64,
-    position_sigma_m: f64,
-    nu: Option<f64>,
-    min_overlap: f64,
-    min_goodness: f64,
-    max_candidates: u64,
-    surface: bool,
-) -> PyRes<PosteriorOptions> {
-    let half_width = pair("half_width", half_width)?;
-    let step = step.map(|s| pair("step", s)).transpose()?;
-    let options = PosteriorOptions {
-        half_width,
-        step,
-        tolerance_m,
-        max_risk,
-        bias_sigma,
-        drift_sigma_m,
-        heading_sigma_deg,
-        scale_sigma,
-        position_sigma_m,
-        nu,
-        min_overlap,
-        min_goodness,
-        max_candidates,
-        surface,
-    };
-    options.validate()?;
-    Ok(options)
+/// Checked options from arguments of the options' own names; those not named stand at their defaults.
+macro_rules! options {
+    ($half_width:ident $(, $name:ident)*) => {{
+        let options = PosteriorOptions { $($name,)* ..PosteriorOptions::new($half_width) };
+        options.validate()?;
+        options
+    }};
+}
+
+/// Half width and lattice step from a number or a pair each.
+fn extent(half_width: &Bound<'_, PyAny>, step: Option<&Bound<'_, PyAny>>) -> PyRes<([f64; 2], Option<[f64; 2]>)> {
+    Ok((pair("half_width", half_width)?, step.map(|s| pair("step", s)).transpose()?))
 }
 
 fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
@@ -155,22 +130,11 @@ pub fn match_posterior(
     more: Option<Vec<Bound<'_, PyAny>>>,
 ) -> PyRes<PyFix> {
     let map = field(grid)?;
-    let options = options(
-        half_width,
-        step,
-        tolerance_m,
-        max_risk,
-        bias_sigma,
-        drift_sigma_m,
-        heading_sigma_deg,
-        scale_sigma,
-        position_sigma_m,
-        nu,
-        min_overlap,
-        min_goodness,
-        max_candidates,
-        surface,
-    )?;
+    let (half_width, step) = extent(half_width, step)?;
+    let options = options! {
+        half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
+        position_sigma_m, nu, min_overlap, min_goodness, max_candidates, surface
+    };
     let more = extras(more)?;
     let track = &track.get().inner;
     let fix = py.detach(|| {
@@ -241,22 +205,11 @@ pub fn match_posterior_many(
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<PyFix>> {
     let map = field(grid)?;
-    let options = options(
-        half_width,
-        step,
-        tolerance_m,
-        max_risk,
-        bias_sigma,
-        drift_sigma_m,
-        heading_sigma_deg,
-        scale_sigma,
-        position_sigma_m,
-        nu,
-        min_overlap,
-        min_goodness,
-        max_candidates,
-        false,
-    )?;
+    let (half_width, step) = extent(half_width, step)?;
+    let options = options! {
+        half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
+        position_sigma_m, nu, min_overlap, min_goodness, max_candidates
+    };
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
     let units = tracks.len() as u64 * 4_000_000;
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
@@ -348,22 +301,11 @@ impl PyPosteriorMatcher {
         max_samples: usize,
     ) -> PyRes<Self> {
         let map = field(grid)?;
-        let options = options(
-            half_width,
-            step,
-            tolerance_m,
-            max_risk,
-            bias_sigma,
-            drift_sigma_m,
-            heading_sigma_deg,
-            scale_sigma,
-            position_sigma_m,
-            nu,
-            min_overlap,
-            min_goodness,
-            max_candidates,
-            false,
-        )?;
+        let (half_width, step) = extent(half_width, step)?;
+        let options = options! {
+            half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
+            position_sigma_m, nu, min_overlap, min_goodness, max_candidates
+        };
         let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;
         Ok(Self { inner, grid: grid.clone().unbind() })
     }
@@ -541,22 +483,10 @@ pub fn predict_many(
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<Option<PyPrediction>>> {
     let map = field(grid)?;
-    let options = options(
-        half_width,
-        None,
-        tolerance_m,
-        max_risk,
-        bias_sigma,
-        drift_sigma_m,
-        heading_sigma_deg,
-        scale_sigma,
-        0.0,
-        nu,
-        0.8,
-        1e-3,
-        4_000_000,
-        false,
-    )?;
+    let half_width = pair("half_width", half_width)?;
+    let options = options! {
+        half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu
+    };
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
     let units = (tracks.len() * flights.max(1)) as u64 * 4_000_000;
     let found = long_call::run(py, units, None, progress, |monitor| {

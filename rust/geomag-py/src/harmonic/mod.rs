@@ -121,6 +121,20 @@ pub struct PyHarmonicModel {
 }
 
 impl PyHarmonicModel {
+    fn fitted(
+        py: Python<'_>,
+        observations: &Observations,
+        threads: Option<usize>,
+        progress: Option<&Bound<'_, PyAny>>,
+        options: Option<&Bound<'_, PyDict>>,
+    ) -> PyRes<Self> {
+        let request = Request::new(&keywords(py, options)?)?;
+        let model = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
+            request.run(observations, monitor)
+        })?;
+        Ok(Self { inner: Arc::new(model) })
+    }
+
     fn scattered<'py, T: Send>(
         &self,
         py: Python<'py>,
@@ -192,11 +206,7 @@ impl PyHarmonicModel {
                 }
             }
         }
-        let request = Request::new(&keywords(py, options)?)?;
-        let model = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
-            request.run(&observations, monitor)
-        })?;
-        Ok(Self { inner: Arc::new(model) })
+        Self::fitted(py, &observations, threads, progress, options)
     }
 
     #[staticmethod]
@@ -208,12 +218,7 @@ impl PyHarmonicModel {
         progress: Option<&Bound<'_, PyAny>>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyRes<Self> {
-        let observations = observations.snapshot();
-        let request = Request::new(&keywords(py, options)?)?;
-        let model = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
-            request.run(&observations, monitor)
-        })?;
-        Ok(Self { inner: Arc::new(model) })
+        Self::fitted(py, &observations.snapshot(), threads, progress, options)
     }
 
     #[staticmethod]

@@ -3,12 +3,20 @@
 //! Motion: `east += dt v sin c`, `north += dt v cos c`, with speed `v` and course `c` as indicated plus their estimated
 //! errors. Measurement: the field at the position plus the sensor's estimated bias.
 
+mod filter;
+mod options;
+mod outcome;
+
+pub use options::{Method, NavigatorOptions};
+pub use outcome::{NavigatorStep, Outcome};
+
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use super::sensing::Sensing;
 use crate::error::{Error, Result, require_finite, require_not_negative};
-use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, Scaling, UnscentedKalmanFilter, chi_square_quantile};
+use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, UnscentedKalmanFilter, chi_square_quantile};
+use filter::{Filter, Layout};
 
 /// Innovations over which the filter is judged.
 const WINDOW: usize = 20;
@@ -16,164 +24,6 @@ const WINDOW: usize = 20;
 const MANY_REJECTIONS: u32 = 10;
 /// Standard normal deviate of the probability (1e-5) with which an honest filter is called divergent at a step.
 const DIVERGENCE_DEVIATE: f64 = 4.265;
-
-/// Which filter carries the state.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub enum Method {
-    /// Sigma points through the field.
-    #[default]
-    Unscented,
-    /// The field's gradient at the mean.
-    Extended,
-}
-
-/// How the navigator starts and what it believes.
-///
-/// A standard deviation of zero for speed, heading or bias leaves that state out. A *walk* is the growth of the standard
-/// deviation of a state in the square root of a second.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NavigatorOptions {
-    /// Start, map coordinates `[x, y]`.
-    pub start: [f64; 2],
-    /// Covariance of the start, square metres, east-north.
-    pub covariance_m2: [[f64; 2]; 2],
-    /// Process noise of each coordinate, square metres a second.
-    pub position_noise_m2_s: f64,
-    /// Standard deviation of the indicated speed's error, metres a second.
-    pub speed_sigma_m_s: f64,
-    /// Its walk.
-    pub speed_walk: f64,
-    /// Standard deviation of the indicated course's error, degrees.
-    pub heading_sigma_deg: f64,
-    /// Its walk.
-    pub heading_walk_deg: f64,
-    /// Standard deviation of the sensor's constant error, field unit (each component).
-    pub bias_sigma: f64,
-    /// Its walk.
-    pub bias_walk: f64,
-    /// Standard deviation of a reading, field unit: one for all components or one each.
-    pub reading_sigma: Vec<f64>,
-    /// Whether the field's own standard deviation is added.
-    pub field_sigma: bool,
-    /// Probability within which a reading must lie to be used; `None` uses all.
-    pub gate: Option<f64>,
-    /// The filter.
-    pub method: Method,
-    /// Its sigma points.
-    pub scaling: Scaling,
-}
-
-impl Default for NavigatorOptions {
-    fn default() -> Self {
-        Self {
-            start: [0.0, 0.0],
-            covariance_m2: [[1e4, 0.0], [0.0, 1e4]],
-            position_noise_m2_s: 0.01,
-            speed_sigma_m_s: 0.0,
-            speed_walk: 0.0,
-            heading_sigma_deg: 0.0,
-            heading_walk_deg: 0.0,
-            bias_sigma: 0.0,
-            bias_walk: 0.0,
-            reading_sigma: vec![1.0],
-            field_sigma: true,
-            gate: Some(0.9999),
-            method: Method::Unscented,
-            scaling: Scaling::default(),
-        }
-    }
-}
-
-/// What a step did with its reading.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Outcome {
-    /// The reading corrected the state.
-    Updated,
-    /// There was no reading: dead reckoning.
-    Predicted,
-    /// The gate refused the reading.
-    Rejected,
-    /// The field is not known where the vehicle is: dead reckoning.
-    OffField,
-}
-
-impl Outcome {
-    /// The name used in Python and reports.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Updated => "updated",
-            Self::Predicted => "predicted",
-            Self::Rejected => "rejected",
-            Self::OffField => "off_field",
-        }
-    }
-}
-
-/// Where the navigator is after a step.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NavigatorStep {
-    /// Map coordinate.
-    pub x: f64,
-    /// Map coordinate.
-    pub y: f64,
-    /// Covariance of the position, square metres, east-north.
-    pub covariance_m2: [[f64; 2]; 2],
-    /// What became of the reading.
-    pub outcome: Outcome,
-    /// Normalised innovation squared, where there was a reading that could be compared.
-    pub nis: Option<f64>,
-    /// Numbers in that reading.
-    pub dof: usize,
-    /// Whether the innovations say that the filter has lost its way.
-    pub diverged: bool,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-enum Filter {
-    Unscented(UnscentedKalmanFilter),
-    Extended(ExtendedKalmanFilter),
-}
-
-impl Filter {
-    fn estimate(&self) -> &Estimate {
-        match self {
-            Self::Unscented(f) => f.estimate(),
-            Self::Extended(f) => f.estimate(),
-        }
-    }
-
-    fn estimate_mut(&mut self) -> &mut Estimate {
-        match self {
-            Self::Unscented(f) => f.estimate_mut(),
-            Self::Extended(f) => f.estimate_mut(),
-        }
-    }
-}
-
-/// Where each state is in the vector; east and north are the first two.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Layout {
-    speed: Option<usize>,
-    heading: Option<usize>,
-    bias: Option<usize>,
-    len: usize,
-}
-
-impl Layout {
-    fn new(options: &NavigatorOptions, numbers: usize) -> Self {
-        let mut len = 2;
-        let mut place = |wanted: bool, count: usize| {
-            wanted.then(|| {
-                len += count;
-                len - count
-            })
-        };
-        let speed = place(options.speed_sigma_m_s > 0.0, 1);
-        let heading = place(options.heading_sigma_deg > 0.0, 1);
-        let bias = place(options.bias_sigma > 0.0, numbers);
-        Self { speed, heading, bias, len }
-    }
-}
 
 /// Everything that changes from step to step, and what was asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -401,10 +251,7 @@ impl FieldNavigator {
 
     /// The newest innovation.
     pub fn innovation(&self) -> Option<&Innovation> {
-        match &self.state.filter {
-            Filter::Unscented(f) => f.innovation(),
-            Filter::Extended(f) => f.innovation(),
-        }
+        self.state.filter.innovation()
     }
 
     /// Whether the innovations say that the filter has lost its way: ten readings in a row refused, or a mean NIS over
@@ -532,186 +379,6 @@ impl FieldNavigator {
             self.state.anchor = self.place(east, north);
             self.state.filter.estimate_mut().shift(&[-east, -north]);
         }
-    }
-
-    fn predict(&mut self, dt_s: f64, speed_m_s: f64, course_deg: f64) -> Result<()> {
-        let noise = self.process_noise(dt_s);
-        let layout = self.state.layout;
-        let course = course_deg.to_radians();
-        if layout.speed.is_none() && layout.heading.is_none() {
-            let (sin, cos) = course.sin_cos();
-            let away = [dt_s * speed_m_s * sin, dt_s * speed_m_s * cos];
-            return self.state.filter.estimate_mut().drift(&away, &noise);
-        }
-        let motion = move |x: &[f64], out: &mut [f64]| {
-            let speed = speed_m_s + layout.speed.map_or(0.0, |i| x[i]);
-            let (sin, cos) = (course + layout.heading.map_or(0.0, |i| x[i])).sin_cos();
-            out.copy_from_slice(x);
-            out[0] += dt_s * speed * sin;
-            out[1] += dt_s * speed * cos;
-        };
-        let jacobian = match self.state.options.method {
-            Method::Unscented => Vec::new(),
-            Method::Extended => self.motion_jacobian(self.state.filter.estimate().mean(), dt_s, speed_m_s, course_deg),
-        };
-        match &mut self.state.filter {
-            Filter::Unscented(filter) => filter.predict_with(
-                |points, out| {
-                    let n = layout.len;
-                    for (point, out) in points.as_slice().chunks_exact(n).zip(out.as_mut_slice().chunks_exact_mut(n)) {
-                        motion(point, out);
-                    }
-                    Ok(())
-                },
-                &noise,
-            ),
-            Filter::Extended(filter) => {
-                let mut moved = vec![0.0; layout.len];
-                motion(filter.estimate().mean(), &mut moved);
-                filter.predict(&moved, &jacobian, (&noise * noise.transpose()).as_slice())
-            }
-        }
-    }
-
-    fn update(&mut self, reading: &[f64], kept: &[usize]) -> Result<(Outcome, Option<f64>)> {
-        let here = self.position();
-        if !self.sensing.covers(here[0], here[1]) {
-            return Ok((Outcome::OffField, None));
-        }
-        let noise = self.reading_noise(here, kept);
-        let gate = self.gates.get(kept.len() - 1).copied();
-        let z: Vec<f64> = kept.iter().map(|&k| reading[k]).collect();
-        let (sensing, layout, anchor) = (&self.sensing, self.state.layout, self.state.anchor);
-        let scale = sensing.metres_per_unit(anchor[1]);
-        let numbers = sensing.len();
-        let found = match &mut self.state.filter {
-            Filter::Unscented(filter) => filter.update_with(
-                &z,
-                |points, out| {
-                    let places: Vec<[f64; 2]> = points
-                        .column_iter()
-                        .map(|p| [sensing.wrap_x(anchor[0] + p[0] / scale[0]), anchor[1] + p[1] / scale[1]])
-                        .collect();
-                    let mut values = vec![0.0; numbers * places.len()];
-                    sensing.read(&places, &mut values);
-                    if values.iter().any(|v| v.is_nan()) {
-                        return Err(OffField::Off);
-                    }
-                    for (i, (point, mut out)) in points.column_iter().zip(out.column_iter_mut()).enumerate() {
-                        for (o, &k) in out.iter_mut().zip(kept) {
-                            *o = values[i * numbers + k] + layout.bias.map_or(0.0, |first| point[first + k]);
-                        }
-                    }
-                    Ok(())
-                },
-                &noise,
-                gate,
-            ),
-            Filter::Extended(filter) => {
-                let expected = sensing.read_with_gradient(here[0], here[1]);
-                if expected.iter().any(|e| e.0.is_nan() || e.1.iter().any(|g| g.is_nan())) {
-                    return Ok((Outcome::OffField, None));
-                }
-                let mean = filter.estimate().mean();
-                let values: Vec<f64> =
-                    kept.iter().map(|&k| expected[k].0 + layout.bias.map_or(0.0, |first| mean[first + k])).collect();
-                let h = jacobian_of_readings(layout, &expected, kept);
-                filter.update(&z, &values, &h, (&noise * noise.transpose()).as_slice(), gate).map_err(OffField::from)
-            }
-        };
-        match found {
-            Ok(innovation) => {
-                let outcome = if innovation.accepted { Outcome::Updated } else { Outcome::Rejected };
-                Ok((outcome, Some(innovation.nis)))
-            }
-            Err(OffField::Off) => Ok((Outcome::OffField, None)),
-            Err(OffField::Failed(error)) => Err(error),
-        }
-    }
-
-    /// Factor of the process noise over a step.
-    fn process_noise(&self, dt_s: f64) -> DMatrix<f64> {
-        let o = &self.state.options;
-        let root = dt_s.sqrt();
-        let layout = self.state.layout;
-        let mut noise = DMatrix::zeros(layout.len, layout.len);
-        for i in 0..2 {
-            noise[(i, i)] = (o.position_noise_m2_s * dt_s).sqrt();
-        }
-        if let Some(i) = layout.speed {
-            noise[(i, i)] = o.speed_walk * root;
-        }
-        if let Some(i) = layout.heading {
-            noise[(i, i)] = o.heading_walk_deg.to_radians() * root;
-        }
-        if let Some(first) = layout.bias {
-            for i in first..layout.len {
-                noise[(i, i)] = o.bias_walk * root;
-            }
-        }
-        noise
-    }
-
-    /// Factor of the noise of the numbers that are kept: the sensor's and the field's own.
-    fn reading_noise(&self, place: [f64; 2], kept: &[usize]) -> DMatrix<f64> {
-        let o = &self.state.options;
-        let sigma = |k: usize| {
-            let sensor = if o.reading_sigma.len() == 1 { o.reading_sigma[0] } else { o.reading_sigma[k] };
-            let field = if o.field_sigma { self.sensing.sigma(place[0], place[1], k) } else { 0.0 };
-            sensor.hypot(field)
-        };
-        DMatrix::from_fn(kept.len(), kept.len(), |i, j| if i == j { sigma(kept[i]) } else { 0.0 })
-    }
-
-    /// Row-major Jacobian of the motion.
-    fn motion_jacobian(&self, mean: &[f64], dt_s: f64, speed_m_s: f64, course_deg: f64) -> Vec<f64> {
-        let layout = self.state.layout;
-        let n = layout.len;
-        let mut f = vec![0.0; n * n];
-        for i in 0..n {
-            f[i * n + i] = 1.0;
-        }
-        let speed = speed_m_s + layout.speed.map_or(0.0, |i| mean[i]);
-        let (sin, cos) = (course_deg.to_radians() + layout.heading.map_or(0.0, |i| mean[i])).sin_cos();
-        if let Some(i) = layout.speed {
-            f[i] = dt_s * sin;
-            f[n + i] = dt_s * cos;
-        }
-        if let Some(i) = layout.heading {
-            f[i] = dt_s * speed * cos;
-            f[n + i] = -dt_s * speed * sin;
-        }
-        f
-    }
-
-    fn measurement_jacobian(&self, expected: &[(f64, [f64; 2])], kept: &[usize]) -> Vec<f64> {
-        jacobian_of_readings(self.state.layout, expected, kept)
-    }
-}
-
-/// Row-major Jacobian of the numbers that are kept.
-fn jacobian_of_readings(layout: Layout, expected: &[(f64, [f64; 2])], kept: &[usize]) -> Vec<f64> {
-    let n = layout.len;
-    let mut h = vec![0.0; kept.len() * n];
-    for (row, &k) in kept.iter().enumerate() {
-        h[row * n..row * n + 2].copy_from_slice(&expected[k].1);
-        if let Some(first) = layout.bias {
-            h[row * n + first + k] = 1.0;
-        }
-    }
-    h
-}
-
-/// Why a reading was not compared.
-enum OffField {
-    /// A sigma point lies where the field is not known.
-    Off,
-    Failed(Error),
-}
-
-impl From<Error> for OffField {
-    fn from(error: Error) -> Self {
-        Self::Failed(error)
     }
 }
 

@@ -1,0 +1,126 @@
+//! Evenly spaced axes, and positions along them.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result};
+use crate::frame::wrap_longitude;
+
+/// Positions within this many cells of a node are taken to be on it, so that rounding never drags a neighbouring hole in.
+pub(super) const NODE_TOLERANCE: f64 = 1e-9;
+/// Greatest departure of an axis from even spacing, in cells.
+const EVENNESS_TOLERANCE: f64 = 1e-2;
+
+/// An evenly spaced, ascending axis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Axis {
+    first: f64,
+    step: f64,
+    len: usize,
+}
+
+impl Axis {
+    /// An axis from its first coordinate, its spacing (> 0) and its number of nodes (>= 2).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`], [`Error::NotFinite`], [`Error::TooFewSamples`].
+    pub fn new(first: f64, step: f64, len: usize) -> Result<Self> {
+        crate::error::require_finite("axis start", &[first])?;
+        crate::error::require_positive("axis step", step)?;
+        if len < 2 {
+            return Err(Error::TooFewSamples { what: "axis".into(), needed: 2, got: len });
+        }
+        Ok(Self { first, step, len })
+    }
+
+    /// An axis from its coordinates, evenly spaced to within a hundredth of a cell, and whether they run downwards.
+    ///
+    /// `resolution` is the rounding of the coordinates themselves (zero for float64, larger for coordinates stored in
+    /// fewer digits); it is allowed on top.
+    ///
+    /// # Errors
+    /// [`Error::TooFewSamples`], [`Error::NotFinite`], or [`Error::Invalid`] naming the first uneven node.
+    pub fn from_coordinates(name: &str, coordinates: &[f64], resolution: f64) -> Result<(Self, bool)> {
+        let len = coordinates.len();
+        if len < 2 {
+            return Err(Error::TooFewSamples { what: format!("axis {name}"), needed: 2, got: len });
+        }
+        crate::error::require_finite(name, coordinates)?;
+        let signed = (coordinates[len - 1] - coordinates[0]) / (len - 1) as f64;
+        let tolerance = signed.abs() * EVENNESS_TOLERANCE + resolution;
+        for (i, &c) in coordinates.iter().enumerate() {
+            let expected = coordinates[0] + signed * i as f64;
+            if signed == 0.0 || (c - expected).abs() > tolerance {
+                return Err(Error::invalid(
+                    format!("axis {name}[{i}]"),
+                    format!("evenly spaced coordinates in one direction (here {expected} for a spacing of {signed})"),
+                    c,
+                ));
+            }
+        }
+        let reversed = signed < 0.0;
+        let first = if reversed { coordinates[len - 1] } else { coordinates[0] };
+        Ok((Self::new(first, signed.abs(), len)?, reversed))
+    }
+
+    /// Coordinate of the first node.
+    pub fn first(&self) -> f64 {
+        self.first
+    }
+
+    /// Coordinate of the last node.
+    pub fn last(&self) -> f64 {
+        self.at(self.len - 1)
+    }
+
+    /// Spacing, always positive.
+    pub fn step(&self) -> f64 {
+        self.step
+    }
+
+    /// Number of nodes.
+    #[allow(clippy::len_without_is_empty)] // never empty by construction
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Coordinate of node `i`.
+    pub fn at(&self, i: usize) -> f64 {
+        self.first + self.step * i as f64
+    }
+
+    /// Position of a coordinate in cells from the first node.
+    pub fn position(&self, coordinate: f64) -> f64 {
+        (coordinate - self.first) / self.step
+    }
+
+    /// The cell that holds a position in cells, and the fraction within it; positions on a node give fraction 0 or 1.
+    pub(crate) fn cell(&self, position: f64) -> Option<(usize, f64)> {
+        let last_cell = (self.len - 2) as f64;
+        if !(position >= -NODE_TOLERANCE && position <= last_cell + 1.0 + NODE_TOLERANCE) {
+            return None;
+        }
+        let (cell, fraction) = split_position(position);
+        let cell = cell as f64;
+        if cell > last_cell { Some((self.len - 2, 1.0)) } else { Some((cell.max(0.0) as usize, fraction)) }
+    }
+}
+
+/// Whole cells and fraction in [0, 1) of a position, with positions next to a node taken to be on it.
+pub(crate) fn split_position(position: f64) -> (i64, f64) {
+    let nearest = position.round();
+    if (position - nearest).abs() <= NODE_TOLERANCE {
+        (nearest as i64, 0.0)
+    } else {
+        let floor = position.floor();
+        (floor as i64, position - floor)
+    }
+}
+
+/// Takes out jumps of a whole turn between neighbours.
+pub(super) fn unwrap_longitudes(longitudes: &[f64]) -> Vec<f64> {
+    let mut out = Vec::with_capacity(longitudes.len());
+    for &longitude in longitudes {
+        out.push(out.last().map_or(longitude, |&previous| wrap_longitude(longitude, previous)));
+    }
+    out
+}

@@ -1,0 +1,316 @@
+//! The stored map: a regular grid of field values with interpolation, gradient, holes and error.
+
+mod axis;
+mod nodes;
+mod sample;
+
+pub use axis::Axis;
+pub(crate) use axis::split_position;
+pub use nodes::{GridValues, MapSigma};
+pub use sample::Interpolation;
+
+use std::ops::Range;
+
+use axis::unwrap_longitudes;
+use nodes::{Holes, part};
+
+use crate::error::{Error, Result};
+use crate::field::Field;
+use crate::frame::{metres_per_degree, wrap_longitude};
+use crate::map_error::{DistanceLayer, MapErrorModel};
+
+/// A regular grid of field values: the map that matchers compare with.
+///
+/// Stored with both axes ascending, whatever direction they came in. A NaN is a hole: any interpolation that would need
+/// it gives NaN. Infinite values are refused.
+///
+/// ```
+/// use geomag_core::grid::{GridMap, GridValues, Interpolation};
+/// let map = GridMap::new(GridValues::F64(vec![0.0, 1.0, 10.0, 11.0]), &[0.0, 100.0], &[0.0, 100.0], false)?;
+/// assert_eq!(map.sample(50.0, 50.0, Interpolation::Bilinear), 5.5);
+/// assert!(map.sample(101.0, 0.0, Interpolation::Bilinear).is_nan());
+/// # Ok::<(), geomag_core::error::Error>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct GridMap {
+    x: Axis,
+    y: Axis,
+    values: GridValues,
+    geographic: bool,
+    holes: Holes,
+    mean: f64,
+    sigma: Option<MapSigma>,
+    error_model: Option<MapErrorModel>,
+}
+
+impl GridMap {
+    /// A map from values (row-major, row = y, column = x, in the order of the given axes) and its axes.
+    ///
+    /// Geographic maps have x = longitude and y = latitude in degrees; longitudes may jump by 360 degrees where the map
+    /// crosses the date line.
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::Invalid`] (uneven axes, latitudes beyond the poles, more than one turn of longitude),
+    /// [`Error::NotFinite`] (infinite value), [`Error::TooFewSamples`] (an axis of one node).
+    pub fn new(values: GridValues, x: &[f64], y: &[f64], geographic: bool) -> Result<Self> {
+        Self::with_resolution(values, x, y, geographic, 0.0)
+    }
+
+    /// [`GridMap::new`] for axes whose coordinates are themselves rounded to `resolution`.
+    ///
+    /// # Errors
+    /// As [`GridMap::new`].
+    pub fn with_resolution(
+        mut values: GridValues,
+        x: &[f64],
+        y: &[f64],
+        geographic: bool,
+        resolution: f64,
+    ) -> Result<Self> {
+        let needed = x.len().checked_mul(y.len());
+        if needed != Some(values.len()) {
+            return Err(Error::shape(
+                "map values",
+                format!("{} rows (y) x {} columns (x)", y.len(), x.len()),
+                format!("{} values", values.len()),
+            ));
+        }
+        let (x, reverse_columns) = match Axis::from_coordinates("x", x, resolution) {
+            Err(Error::Invalid { .. }) if geographic => Axis::from_coordinates("x", &unwrap_longitudes(x), resolution)?,
+            other => other?,
+        };
+        let (y, reverse_rows) = Axis::from_coordinates("y", y, resolution)?;
+        values.flip(x.len(), reverse_rows, reverse_columns);
+        Self::from_axes(values, x, y, geographic)
+    }
+
+    /// A map from values that already lie in ascending order on the given axes.
+    ///
+    /// # Errors
+    /// As [`GridMap::new`].
+    pub fn from_axes(values: GridValues, x: Axis, y: Axis, geographic: bool) -> Result<Self> {
+        if x.len().checked_mul(y.len()) != Some(values.len()) {
+            return Err(Error::shape(
+                "map values",
+                format!("{} rows (y) x {} columns (x)", y.len(), x.len()),
+                format!("{} values", values.len()),
+            ));
+        }
+        if geographic {
+            let slack = 0.5 * y.step();
+            if y.first() < -90.0 - slack || y.last() > 90.0 + slack {
+                return Err(Error::invalid(
+                    "axis y of a geographic map",
+                    "latitudes in [-90, 90] degrees (is the map in metres, or are the axes swapped?)",
+                    format!("{} to {}", y.first(), y.last()),
+                ));
+            }
+            if x.last() - x.first() > 360.0 + x.step() || x.first() < -540.0 || x.last() > 720.0 {
+                return Err(Error::invalid(
+                    "axis x of a geographic map",
+                    "longitudes in degrees, at most one turn (is the map in metres?)",
+                    format!("{} to {}", x.first(), x.last()),
+                ));
+            }
+        }
+        let mut sum = 0.0;
+        let mut origin = f64::NAN;
+        let mut holes = Holes::none(x.len());
+        for i in 0..values.len() {
+            let v = values.get(i);
+            if v.is_infinite() {
+                return Err(Error::NotFinite {
+                    what: "map values (row-major, both axes ascending)".into(),
+                    index: i,
+                    got: v,
+                });
+            }
+            if v.is_nan() {
+                holes.add(i / x.len(), i % x.len());
+            } else {
+                if origin.is_nan() {
+                    origin = v;
+                }
+                // Summed about the first value: maps of total intensity are 50,000 nT plus a little.
+                sum += v - origin;
+            }
+        }
+        let count = values.len() - holes.count;
+        if count == 0 {
+            return Err(Error::invalid("map values", "at least one value that is not NaN", "only NaN"));
+        }
+        Ok(Self { x, y, values, geographic, holes, mean: origin + sum / count as f64, sigma: None, error_model: None })
+    }
+
+    /// The same map with the standard deviation of its values.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a negative or infinite one, [`Error::Shape`] for a grid of another size.
+    pub fn with_sigma(mut self, sigma: Option<MapSigma>) -> Result<Self> {
+        match &sigma {
+            None => {}
+            Some(MapSigma::Constant(s)) => {
+                crate::error::require_not_negative("map sigma", *s)?;
+            }
+            Some(MapSigma::Grid(grid)) => {
+                if grid.len() != self.values.len() {
+                    return Err(Error::shape(
+                        "map sigma",
+                        format!("{} values as the map", self.values.len()),
+                        format!("{} values", grid.len()),
+                    ));
+                }
+                if let Some(i) = grid.iter().position(|s| s.is_infinite() || *s < 0.0) {
+                    return Err(Error::invalid(
+                        format!("map sigma[{i}]"),
+                        "a number >= 0 (NaN where unknown)",
+                        grid[i],
+                    ));
+                }
+            }
+        }
+        self.sigma = sigma;
+        Ok(self)
+    }
+
+    /// The same map with the statistics of its errors.
+    ///
+    /// # Errors
+    /// As [`MapErrorModel::validate`].
+    pub fn with_error_model(mut self, model: Option<MapErrorModel>) -> Result<Self> {
+        if let Some(model) = &model {
+            model.validate(self.values.len())?;
+        }
+        self.error_model = model;
+        Ok(self)
+    }
+
+    /// What is known of the errors beyond their standard deviation.
+    pub fn error_model(&self) -> Option<&MapErrorModel> {
+        self.error_model.as_ref()
+    }
+
+    /// The x axis (east), ascending.
+    pub fn x(&self) -> &Axis {
+        &self.x
+    }
+
+    /// The y axis (north), ascending.
+    pub fn y(&self) -> &Axis {
+        &self.y
+    }
+
+    /// The values, row = y ascending, column = x ascending.
+    pub fn values(&self) -> &GridValues {
+        &self.values
+    }
+
+    /// Number of NaN nodes.
+    pub fn holes(&self) -> usize {
+        self.holes.count
+    }
+
+    /// Whether a hole may lie in the block of nodes of these rows and columns; true is exact to some nodes only.
+    pub(crate) fn may_have_holes(&self, rows: Range<usize>, columns: Range<usize>) -> bool {
+        self.holes.may_be_in(rows, columns)
+    }
+
+    /// What is known of the error of the values.
+    pub fn map_sigma(&self) -> Option<&MapSigma> {
+        self.sigma.as_ref()
+    }
+
+    /// Value at node (row, column), NaN on a hole.
+    #[inline]
+    pub fn node(&self, row: usize, column: usize) -> f64 {
+        self.values.get(row * self.x.len() + column)
+    }
+
+    /// Position of a point in cells from the first node `[column, row]`, longitude wrapped.
+    #[inline]
+    pub fn position(&self, x: f64, y: f64) -> [f64; 2] {
+        [self.x.position(self.wrap_x(x)), self.y.position(y)]
+    }
+
+    /// Part of the map: rows and columns by index.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] where the ranges leave the map or hold fewer than two nodes.
+    pub fn window(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Self> {
+        if rows.end > self.y.len() || columns.end > self.x.len() || rows.len() < 2 || columns.len() < 2 {
+            return Err(Error::invalid(
+                "window",
+                format!("at least 2 x 2 nodes within {} x {}", self.y.len(), self.x.len()),
+                format!("rows {rows:?}, columns {columns:?}"),
+            ));
+        }
+        let width = self.x.len();
+        let values = match &self.values {
+            GridValues::F32(v) => GridValues::F32(part(v, width, &rows, &columns)),
+            GridValues::F64(v) => GridValues::F64(part(v, width, &rows, &columns)),
+        };
+        let sigma = self.sigma.as_ref().map(|s| match s {
+            MapSigma::Constant(s) => MapSigma::Constant(*s),
+            MapSigma::Grid(g) => MapSigma::Grid(part(g, width, &rows, &columns)),
+        });
+        let error_model = self.error_model.as_ref().map(|model| MapErrorModel {
+            distance_m: match &model.distance_m {
+                DistanceLayer::Constant(d) => DistanceLayer::Constant(*d),
+                DistanceLayer::Grid(layer) => DistanceLayer::Grid(part(layer, width, &rows, &columns)),
+            },
+            ..model.clone()
+        });
+        let x = Axis::new(self.x.at(columns.start), self.x.step(), columns.len())?;
+        let y = Axis::new(self.y.at(rows.start), self.y.step(), rows.len())?;
+        Self::from_axes(values, x, y, self.geographic)?.with_sigma(sigma)?.with_error_model(error_model)
+    }
+}
+
+impl Field for GridMap {
+    fn value(&self, x: f64, y: f64) -> f64 {
+        self.sample(x, y, Interpolation::Bilinear)
+    }
+
+    fn value_and_gradient(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
+        self.sample_and_gradient(x, y, Interpolation::Bilinear)
+    }
+
+    fn sigma(&self, x: f64, y: f64) -> f64 {
+        match &self.sigma {
+            None => 0.0,
+            Some(MapSigma::Constant(s)) => *s,
+            Some(MapSigma::Grid(grid)) => {
+                let [px, py] = self.position(x, y);
+                let (Some((ix, tx)), Some((iy, ty))) = (self.x.cell(px), self.y.cell(py)) else {
+                    return f64::NAN;
+                };
+                // The nearest node: an error model has no business being smoother than its own grid.
+                grid[(iy + usize::from(ty > 0.5)) * self.x.len() + ix + usize::from(tx > 0.5)]
+            }
+        }
+    }
+
+    fn geographic(&self) -> bool {
+        self.geographic
+    }
+
+    fn metres_per_unit(&self, y: f64) -> [f64; 2] {
+        if self.geographic { metres_per_degree(y) } else { [1.0, 1.0] }
+    }
+
+    fn wrap_x(&self, x: f64) -> f64 {
+        if self.geographic { wrap_longitude(x, 0.5 * (self.x.first() + self.x.last())) } else { x }
+    }
+
+    fn spacing(&self) -> [f64; 2] {
+        [self.x.step(), self.y.step()]
+    }
+
+    fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    fn as_grid(&self) -> Option<&GridMap> {
+        Some(self)
+    }
+}

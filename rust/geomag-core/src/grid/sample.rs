@@ -1,0 +1,136 @@
+//! Reading a map between its nodes.
+
+use serde::{Deserialize, Serialize};
+
+use super::GridMap;
+use super::axis::NODE_TOLERANCE;
+use crate::field::Field;
+
+/// How a map is read between its nodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Interpolation {
+    /// Bilinear: continuous, exact at nodes, gradient steps at cell borders.
+    #[default]
+    Bilinear,
+    /// Cubic convolution (Keys 1981, a = -1/2): continuous gradient, third-order accurate, 4 x 4 nodes.
+    Bicubic,
+}
+
+impl GridMap {
+    /// Value between the nodes; NaN off the map and next to holes.
+    pub fn sample(&self, x: f64, y: f64, method: Interpolation) -> f64 {
+        self.sample_and_gradient(x, y, method).0
+    }
+
+    /// Value and gradient per metre `[east, north]`; NaN off the map and next to holes.
+    pub fn sample_and_gradient(&self, x: f64, y: f64, method: Interpolation) -> (f64, [f64; 2]) {
+        let [px, py] = self.position(x, y);
+        let (value, [dx, dy]) = self.at_position(px, py, method);
+        let [east, north] = self.metres_per_unit(y);
+        (value, [dx / (self.x.step() * east), dy / (self.y.step() * north)])
+    }
+
+    /// Value and gradient per cell at a position in cells from the first node.
+    pub(crate) fn at_position(&self, px: f64, py: f64, method: Interpolation) -> (f64, [f64; 2]) {
+        let (Some((ix, tx)), Some((iy, ty))) = (self.x.cell(px), self.y.cell(py)) else {
+            return (f64::NAN, [f64::NAN; 2]);
+        };
+        match method {
+            Interpolation::Bilinear => self.bilinear(ix, iy, tx, ty),
+            Interpolation::Bicubic => self.bicubic(ix, iy, tx, ty),
+        }
+    }
+
+    fn bilinear(&self, ix: usize, iy: usize, tx: f64, ty: f64) -> (f64, [f64; 2]) {
+        let [a, b, c, d] = [self.node(iy, ix), self.node(iy, ix + 1), self.node(iy + 1, ix), self.node(iy + 1, ix + 1)];
+        // A node of weight zero is not needed: a hole there must not spoil a sample that lies on its neighbour.
+        let mix = |p: f64, q: f64, t: f64| {
+            if t == 0.0 {
+                p
+            } else if t == 1.0 {
+                q
+            } else {
+                (1.0 - t) * p + t * q
+            }
+        };
+        let value = mix(mix(a, b, tx), mix(c, d, tx), ty);
+        (value, [mix(b - a, d - c, ty), mix(c - a, d - b, tx)])
+    }
+
+    fn bicubic(&self, ix: usize, iy: usize, tx: f64, ty: f64) -> (f64, [f64; 2]) {
+        let (wx, dx) = keys_weights(tx);
+        let (wy, dy) = keys_weights(ty);
+        let (mut value, mut along_x, mut along_y) = (0.0, 0.0, 0.0);
+        for r in 0..4 {
+            let (mut row, mut row_dx) = (0.0, 0.0);
+            for c in 0..4 {
+                if (wx[c] == 0.0 && dx[c] == 0.0) || (wy[r] == 0.0 && dy[r] == 0.0) {
+                    continue;
+                }
+                let v = self.extended_node(iy as isize + r as isize - 1, ix as isize + c as isize - 1);
+                row += wx[c] * v;
+                row_dx += dx[c] * v;
+            }
+            value += wy[r] * row;
+            along_x += wy[r] * row_dx;
+            along_y += dy[r] * row;
+        }
+        (value, [along_x, along_y])
+    }
+
+    /// Node value, continued quadratically one node beyond the border (Keys 1981, eq. 19 to 21).
+    fn extended_node(&self, row: isize, column: isize) -> f64 {
+        let (rows, columns) = (self.y.len() as isize, self.x.len() as isize);
+        let continue_by = |outside: isize, inward: isize, len: isize, get: &dyn Fn(isize) -> f64| {
+            if len >= 3 {
+                3.0 * get(outside + inward) - 3.0 * get(outside + 2 * inward) + get(outside + 3 * inward)
+            } else {
+                2.0 * get(outside + inward) - get(outside + 2 * inward)
+            }
+        };
+        if row < 0 || row >= rows {
+            let inward = if row < 0 { 1 } else { -1 };
+            return continue_by(row, inward, rows, &|r| self.extended_node(r, column));
+        }
+        if column < 0 || column >= columns {
+            let inward = if column < 0 { 1 } else { -1 };
+            return continue_by(column, inward, columns, &|c| self.extended_node(row, c));
+        }
+        self.node(row as usize, column as usize)
+    }
+
+    /// Least and greatest bilinear value within `half_x`, `half_y` map units of a point; `None` where any of it is off
+    /// the map or next to a hole.
+    ///
+    /// A bilinear patch has its extremes at its corners, so the corners of all the patches that the box cuts are enough.
+    pub fn bounds(&self, x: f64, y: f64, half_x: f64, half_y: f64) -> Option<(f64, f64)> {
+        let [px, py] = self.position(x, y);
+        let cuts = |p: f64, half: f64| {
+            let (low, high) = (p - half, p + half);
+            let inner = (low + NODE_TOLERANCE).ceil() as i64..=(high - NODE_TOLERANCE).floor() as i64;
+            std::iter::once(low).chain(inner.map(|i| i as f64)).chain(std::iter::once(high)).collect::<Vec<_>>()
+        };
+        let columns = cuts(px, half_x.abs() / self.x.step());
+        let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
+        for r in cuts(py, half_y.abs() / self.y.step()) {
+            for &c in &columns {
+                let v = self.at_position(c, r, Interpolation::Bilinear).0;
+                if v.is_nan() {
+                    return None;
+                }
+                least = least.min(v);
+                greatest = greatest.max(v);
+            }
+        }
+        Some((least, greatest))
+    }
+}
+
+/// Weights and their derivatives of cubic convolution with a = -1/2 for the nodes -1, 0, 1, 2 at fraction t.
+fn keys_weights(t: f64) -> ([f64; 4], [f64; 4]) {
+    let (t2, t3) = (t * t, t * t * t);
+    (
+        [-0.5 * t3 + t2 - 0.5 * t, 1.5 * t3 - 2.5 * t2 + 1.0, -1.5 * t3 + 2.0 * t2 + 0.5 * t, 0.5 * t3 - 0.5 * t2],
+        [-1.5 * t2 + 2.0 * t - 0.5, 4.5 * t2 - 5.0 * t, -4.5 * t2 + 4.0 * t + 0.5, 1.5 * t2 - t],
+    )
+}
