@@ -267,13 +267,18 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
     let needed = (setup.min_overlap * n as f64).max(1.0);
     let mut out = [[f64::NEG_INFINITY; LANES]; LEVELS];
     let mut bias = [0.0; LANES];
-    let first = levels.start;
+    let mut weighed: Option<(f64, Wide)> = None;
     for index in levels {
         let level = &setup.levels[index];
-        let mut lane = weigh(scratch, (level.factor * level.factor) as f32);
+        // A level that differs from the one before in its tails only has the same variances, and nearly the same bias.
+        let (mut lane, turns) = match weighed {
+            Some((factor, lane)) if factor == level.factor => (lane, &WIDENING[WIDENING.len() - 1..]),
+            Some(_) => (weigh(scratch, (level.factor * level.factor) as f32), &WIDENING[1..]),
+            None => (weigh(scratch, (level.factor * level.factor) as f32), &WIDENING[..]),
+        };
+        weighed = Some((level.factor, lane));
         if setup.shapes.is_empty() {
-            let starts = if index == first { &WIDENING[..] } else { &WIDENING[1..] };
-            one_bias::<BOUND>(setup, scratch, level.nu as f32, starts, &mut bias, &mut lane);
+            one_bias::<BOUND>(setup, scratch, level.nu as f32, turns, &mut bias, &mut lane);
         } else {
             let (_, log) = nuisances::<BOUND>(setup, scratch, level.nu as f32);
             for l in 0..LANES {

@@ -162,7 +162,7 @@ impl Problem<'_> {
 
     /// The most likely place, sought from the cells of the highest bounds by halving; `None` where no candidate is on the map.
     fn reference(&self, offsets: &[[f64; 2]], step: [f64; 2], bounds: &Likelihoods) -> Option<Reference> {
-        let rank = |likelihoods: &Likelihoods, offsets: &[[f64; 2]]| {
+        let rank = |likelihoods: &Likelihoods, offsets: &[[f64; 2]], most: usize| {
             let mut order: Vec<(f64, usize)> = (0..offsets.len())
                 .map(|i| {
                     let sum: f64 = self
@@ -176,15 +176,16 @@ impl Problem<'_> {
                 .filter(|(sum, _)| sum.is_finite())
                 .collect();
             let by_rank = |a: &(f64, usize), b: &(f64, usize)| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1));
-            if order.len() > STARTS {
-                order.select_nth_unstable_by(STARTS - 1, by_rank);
-                order.truncate(STARTS);
+            if order.len() > most {
+                order.select_nth_unstable_by(most - 1, by_rank);
+                order.truncate(most);
             }
             order.sort_by(by_rank);
             order
         };
         let all = self.whole();
-        let first = rank(bounds, offsets);
+        let mut starts = STARTS;
+        let first = rank(bounds, offsets, starts);
         if first.is_empty() {
             return None;
         }
@@ -194,7 +195,8 @@ impl Problem<'_> {
             let some = children(&places, step);
             step = step.map(|s| 0.5 * s);
             let densities = self.likelihoods::<false>(&some, step, &all);
-            let order = rank(&densities, &some);
+            starts = (starts / 2).max(2);
+            let order = rank(&densities, &some, starts);
             let &(_, best) = order.first()?;
             places = order.iter().map(|&(_, i)| some[i]).collect();
             let log_likelihood: Vec<[f64; LEVELS]> = densities
