@@ -16,7 +16,7 @@ const FIRST_STAGE: f64 = 2500.0;
 /// Most cells that survive a stage.
 const SURVIVORS: usize = 6000;
 /// Risk over the first lattice from which a sequence that goes on is not searched any closer.
-const HOPELESS: f64 = 0.3;
+const HOPELESS: f64 = 0.15;
 /// Modes that the last lattice has to resolve, and how far in the logarithm below the best they may lie.
 const RIVALS: usize = 4;
 const RIVAL: f64 = 6.0;

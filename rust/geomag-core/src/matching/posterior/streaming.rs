@@ -27,7 +27,7 @@ const GATE: f64 = 5.0;
 /// Share of the samples that may fall outside the gate, beside two.
 const MISSES: f64 = 0.2;
 /// Candidates times samples up to which the posterior is taken at every sample.
-const CHEAP: usize = 2_000;
+const CHEAP: usize = 800;
 /// Fewest samples of a fix.
 const FEWEST: usize = 3;
 /// Standard deviations of heading, scale and drift by which the offset may have moved between samples.
