@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
 import subprocess
 import sys
 
@@ -16,6 +18,7 @@ for _module in ("typer", "pandas", "xarray"):
     pytest.importorskip(_module, reason="needs the extras 'cli' and 'io'")
 
 from geomag.cli import run  # noqa: E402
+from geomag.reproduce import EXPERIMENTS, Context, e8  # noqa: E402
 
 
 @pytest.fixture
@@ -209,6 +212,33 @@ def test_reproduce_quickly(tmp_path, capsys, data):
     on, off = rows["random tracks, INS error on the lattice"], rows["random tracks, INS error anywhere"]
     assert on[3] <= 0.1 * on[1]
     assert off[3] > 0.2 * off[1]
+
+
+@pytest.mark.parametrize("key", EXPERIMENTS)
+def test_every_experiment_can_be_run(key):
+    assert callable(importlib.import_module(f"geomag.reproduce.{key.lower()}").run)
+
+
+def test_ships_are_not_fixed_on_a_grid_that_knows_too_little(tmp_path, data):
+    pytest.importorskip("pandas", reason="needs the extra 'survey'")
+    pytest.importorskip("xarray", reason="needs the extra 'io'")
+    rows = e8.ships(Context(data, tmp_path)).rows
+    assert all(row[1] >= 40 for row in rows)
+    # Declined, or right: none of the fixes is wrong.
+    assert [row[3] for row in rows] == [0, 0]
+
+
+@pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
+def test_reproduce_the_surveys(tmp_path, capsys, data):
+    pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
+    status, _out, _ = call(capsys, "reproduce", "E8", "--data", data, "--out", tmp_path)
+    assert status == 0
+    tables = json.loads((tmp_path / "report.json").read_text())[0]["tables"]
+    share = {row[0]: [float(cell.split()[0]) for cell in row[2:5]] for row in tables[0]["rows"]}
+    for name, (fixed, wrong, gross) in {"Osborne": (60, 2, 0.3), "Britain": (30, 3, 1)}.items():
+        assert share[name][0] >= fixed
+        assert share[name][1] <= wrong
+        assert share[name][2] <= gross
 
 
 def test_module_and_version():
