@@ -43,6 +43,47 @@ def shifted(values, x, y, xs, ys, ox, oy):
     return out
 
 
+def posterior(values, x, y, track, sigma, half_width, step, tolerance, *, bias, headings=(0.0,), heading_sigma=1.0):
+    """The exact posterior over one fine lattice of offsets (map in metres): normal errors, the bias unknown without bound or none.
+
+    `headings` (radians, clockwise about the newest sample) are summed over with a normal prior of `heading_sigma`. Returns
+    risk, centre (2,) of the mass within the tolerance, and covariance about it.
+    """
+    offsets = lattice(half_width, step)
+    east, north = np.meshgrid(offsets, offsets)
+    away = np.column_stack([track.x - track.x[-1], track.y - track.y[-1]])
+    dx, dy = x[1] - x[0], y[1] - y[0]
+    logs = []
+    for turn in headings:
+        c, s = math.cos(turn), math.sin(turn)
+        at = np.column_stack(
+            [track.x[-1] + c * away[:, 0] + s * away[:, 1], track.y[-1] + c * away[:, 1] - s * away[:, 0]]
+        )
+        total, square = np.zeros(east.shape), np.zeros(east.shape)
+        for (px, py), v in zip(at, track.values, strict=True):
+            fx, fy = (px + east - x[0]) / dx, (py + north - y[0]) / dy
+            i, j = fx.astype(int), fy.astype(int)
+            u, w = fx - i, fy - j
+            low = values[j, i] + u * (values[j, i + 1] - values[j, i])
+            high = values[j + 1, i] + u * (values[j + 1, i + 1] - values[j + 1, i])
+            error = low + w * (high - low) - v
+            total += error
+            square += error**2
+        log = -0.5 * (square - (total**2 / len(track.x) if bias else 0.0)) / sigma**2
+        logs.append(log - 0.5 * (turn / heading_sigma) ** 2)
+    logs = np.array(logs)
+    p = np.exp(logs - logs.max()).sum(axis=0)
+    p /= p.sum()
+    row, column = np.unravel_index(np.argmax(p), p.shape)
+    centre = np.array([offsets[column], offsets[row]])
+    for _ in range(3):
+        near = p * (np.hypot(east - centre[0], north - centre[1]) <= tolerance)
+        centre = np.array([(near * east).sum(), (near * north).sum()]) / near.sum()
+    risk = 1 - p[np.hypot(east - centre[0], north - centre[1]) <= tolerance].sum()
+    e = np.stack([east - centre[0], north - centre[1]])
+    return risk, centre, np.einsum("aij,bij,ij->ab", e, e, p)
+
+
 def hausdorff(s, a, b, fraction):
     def directed(p, q):
         d = np.sqrt((s[:, None] - s[None, :]) ** 2 + (p[:, None] - q[None, :]) ** 2).min(axis=1)

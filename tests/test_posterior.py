@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from oracles import posterior
 
 import geomag
 from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability, wilson
@@ -72,6 +73,87 @@ def test_streaming_agrees_with_batch_and_pickles(grid):
     assert streamed.status == batch.status
     assert streamed.offset_m == pytest.approx(batch.offset_m, abs=0.5)
     assert streamed.risk == pytest.approx(batch.risk, abs=1e-4)
+
+
+@pytest.mark.parametrize("bias", [False, True])
+def test_risk_and_covariance_are_those_of_the_exact_posterior(grid, bias):
+    risks, exact = [], []
+    for seed in range(40):
+        offset = np.random.default_rng(seed).uniform(-900, 900, 2)
+        track = flight(grid, offset, n=14 if bias else 9, sigma=5, bias=20.0 * bias, seed=seed)
+        fix = geomag.match_posterior(
+            grid, track, half_width=1000, sigma=5, tolerance_m=100, bias_sigma=None if bias else 0.0, nu=1e4
+        )
+        risk, centre, covariance = posterior(grid.values, grid.x, grid.y, track, 5, 1050, 15, 100, bias=bias)
+        risks.append(fix.risk)
+        exact.append(risk)
+        # A covariance that a far and unlikely place decides is as uncertain as that place.
+        if risk < 1e-3:
+            deviation = np.sqrt(np.trace(covariance))
+            assert np.hypot(*(np.array(fix.offset_m) - centre)) < 0.1 * deviation + 1
+            assert np.trace(fix.covariance_m2) == pytest.approx(np.trace(covariance), rel=0.1)
+    risks, exact = np.array(risks), np.array(exact)
+    assert np.sum(exact < 0.1) >= 5
+    assert np.all(np.abs(risks - exact) < 0.03)
+    assert np.mean(risks) == pytest.approx(np.mean(exact), rel=0.03)
+
+
+def test_a_heading_error_larger_than_a_cell_is_integrated_out(grid):
+    # 3 degrees over 4 km displace the first sample by two cells.
+    sigma = np.radians(3.0)
+    turns = np.linspace(-4, 4, 81) * sigma
+    nees = []
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        offset, turn = rng.uniform(-500, 500, 2), rng.normal(0, sigma)
+        true = flight(grid, (0, 0), n=28, sigma=6, seed=seed)
+        away = np.column_stack([true.x - true.x[-1], true.y - true.y[-1]])
+        c, s = np.cos(turn), np.sin(turn)
+        # Indicated so that turning clockwise about the newest sample brings it back.
+        x = true.x[-1] + c * away[:, 0] - s * away[:, 1] - offset[0]
+        y = true.y[-1] + c * away[:, 1] + s * away[:, 0] - offset[1]
+        track = geomag.Track(x, y, true.values)
+        fix = geomag.match_posterior(
+            grid, track, half_width=600, sigma=6, tolerance_m=100, bias_sigma=0.0, heading_sigma_deg=3.0, nu=1e4
+        )
+        risk, centre, covariance = posterior(
+            grid.values, grid.x, grid.y, track, 6, 650, 20, 100, bias=False, headings=turns, heading_sigma=sigma
+        )
+        error = np.array(fix.offset_m) - offset
+        nees.append(error @ np.linalg.solve(fix.covariance_m2, error))
+        assert fix.risk == pytest.approx(risk, abs=0.05)
+        if risk < 1e-3:
+            assert np.hypot(*(np.array(fix.offset_m) - centre)) < 0.5 * np.sqrt(np.trace(covariance))
+            assert np.trace(fix.covariance_m2) == pytest.approx(np.trace(covariance), rel=0.2)
+            assert fix.heading_deg == pytest.approx(np.degrees(turn), abs=1.5)
+    # The mean of 24 chi-square variables of two degrees of freedom, four standard errors.
+    assert np.mean(nees) < 2 + 4 * 2 / np.sqrt(len(nees))
+
+
+def test_a_stream_follows_drift_and_heading_among_outliers(grid):
+    declared, wrong, fixed = 0.0, 0, 0
+    for seed in range(40):
+        rng = np.random.default_rng(500 + seed)
+        offset, turn, drift = rng.uniform(-700, 700, 2), rng.normal(0, np.radians(3)), rng.normal(0, 60, 2)
+        true = flight(grid, (0, 0), n=32, sigma=1, bias=rng.uniform(-50, 50), seed=seed)
+        values = true.values + 50 * rng.choice([-1, 1], 32) * (rng.random(32) < 0.08)
+        away = np.column_stack([true.x - true.x[-1], true.y - true.y[-1]])
+        c, s = np.cos(turn), np.sin(turn)
+        age = np.linspace(1, 0, 32)
+        x = true.x[-1] + c * away[:, 0] - s * away[:, 1] - offset[0] + age * drift[0]
+        y = true.y[-1] + c * away[:, 1] + s * away[:, 0] - offset[1] + age * drift[1]
+        matcher = geomag.PosteriorMatcher(
+            grid, half_width=1000, sigma=1, tolerance_m=150, heading_sigma_deg=3.0, drift_sigma_m=60.0
+        )
+        for k, sample in enumerate(zip(x, y, values, strict=True)):
+            fix = matcher.update(*sample).fix
+            if fix is not None and fix.ok:
+                fixed += 1
+                declared += fix.risk
+                wrong += np.hypot(fix.x - true.x[k], fix.y - true.y[k]) > 150
+                break
+    assert fixed > 20
+    assert wrong <= declared + 4 * np.sqrt(declared) + 0.5
 
 
 def test_the_same_bits_whatever_runs_beside(grid):
