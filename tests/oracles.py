@@ -47,7 +47,7 @@ def posterior(values, x, y, track, sigma, half_width, step, tolerance, *, bias, 
     """The exact posterior over one fine lattice of offsets (map in metres): normal errors, the bias unknown without bound or none.
 
     `headings` (radians, clockwise about the newest sample) are summed over with a normal prior of `heading_sigma`. Returns
-    risk, centre (2,) of the mass within the tolerance, and covariance about it.
+    risk, centre (2,) of the mass within the tolerance, covariance about it, and the likeliest heading there.
     """
     offsets = lattice(half_width, step)
     east, north = np.meshgrid(offsets, offsets)
@@ -81,7 +81,8 @@ def posterior(values, x, y, track, sigma, half_width, step, tolerance, *, bias, 
         centre = np.array([(near * east).sum(), (near * north).sum()]) / near.sum()
     risk = 1 - p[np.hypot(east - centre[0], north - centre[1]) <= tolerance].sum()
     e = np.stack([east - centre[0], north - centre[1]])
-    return risk, centre, np.einsum("aij,bij,ij->ab", e, e, p)
+    at = tuple(int(np.argmin(np.abs(offsets - c))) for c in centre[::-1])
+    return risk, centre, np.einsum("aij,bij,ij->ab", e, e, p), headings[int(np.argmax(logs[:, at[0], at[1]]))]
 
 
 def hausdorff(s, a, b, fraction):
