@@ -10,7 +10,8 @@ import pytest
 from oracles import posterior
 
 import geomag
-from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability, wilson
+from geomag._statistics import wilson
+from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability
 from geomag.survey import Lines, learn_errors, line_spacing_m, map_from_lines, read_lines
 
 

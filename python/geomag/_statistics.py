@@ -52,3 +52,16 @@ def binomial_interval(successes: int, trials: int, confidence: float = 0.95) -> 
     lower = 0.0 if successes == 0 else solve(successes - 1, 1.0 - tail)
     upper = 1.0 if successes == trials else solve(successes, tail)
     return lower, upper
+
+
+def wilson(wrong: float, n: float, z: float = 1.96) -> tuple[float, float]:
+    """Interval of a binomial share (Wilson, J. Am. Stat. Assoc. 22 (1927) 209); (0, 1) for no trials.
+
+    Counts need not be whole: tracks that overlap count in part. For whole ones `binomial_interval` is exact.
+    """
+    if n == 0:
+        return 0.0, 1.0
+    p = wrong / n
+    centre = p + z * z / (2 * n)
+    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return max(0.0, (centre - half) / (1 + z * z / n)), min(1.0, (centre + half) / (1 + z * z / n))

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
 from geomag._optional import require
+from geomag._statistics import wilson
 from geomag.survey import Lines, _windows, folds_of, map_from_lines
 
 Array = npt.NDArray[np.float64]
@@ -148,16 +149,6 @@ class Calibration:
 def one_sided_limit(wrong: float, n: int, independent: float = 1.0) -> float:
     """Upper 95 % limit of a binomial share (Wilson) of `n` trials of which `independent` is the share that counts."""
     return wilson(wrong * independent, n * independent, 1.645)[1]
-
-
-def wilson(wrong: float, n: float, z: float = 1.96) -> tuple[float, float]:
-    """Interval of a binomial share (Wilson, J. Am. Stat. Assoc. 22 (1927) 209); (0, 1) for no trials."""
-    if n == 0:
-        return 0.0, 1.0
-    p = wrong / n
-    centre = p + z * z / (2 * n)
-    half = z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return float(max(0.0, (centre - half) / (1 + z * z / n))), float(min(1.0, (centre + half) / (1 + z * z / n)))
 
 
 def assess(
@@ -412,19 +403,18 @@ class Suitability:
         data.to_netcdf(path)
 
     def plot(self, path: str | Path) -> None:
-        """Draw expected error and fix probability, the mean over headings; needs matplotlib (extra `plot`)."""
-        pyplot = require("matplotlib.pyplot", "plot", "drawing suitability")
-        figure, axes = pyplot.subplots(1, 2, figsize=(11, 5), layout="constrained")
-        extent = (self.x[0], self.x[-1], self.y[0], self.y[-1])
-        layers = ((self.sigma_m, "expected standard deviation, m"), (self.fix_probability, "probability of a fix"))
-        for ax, (layer, title) in zip(axes, layers, strict=True):
+        """Draw expected error and the share of flights not fixed, means over the headings; needs matplotlib (extra `plot`)."""
+        from geomag.plot import save, suitability_map
+        from geomag.plot._style import new_figure
+
+        layers = ((self.sigma_m, "expected standard deviation (m)"), (1 - self.fix_probability, "share not fixed"))
+        figure = new_figure(11.0, 4.6)
+        for k, (layer, label) in enumerate(layers):
             known = np.isfinite(layer)
             mean = np.where(known.any(axis=0), np.nansum(layer, axis=0) / np.maximum(known.sum(axis=0), 1), np.nan)
-            image = ax.imshow(mean, origin="lower", extent=extent, aspect="auto")
-            ax.set_title(title)
-            figure.colorbar(image, ax=ax)
-        figure.savefig(path, dpi=120)
-        pyplot.close(figure)
+            ax = figure.add_subplot(1, 2, k + 1)
+            suitability_map(mean, self.x, self.y, ax, geographic=self.geographic, label=label)
+        save(figure, path)
 
 
 def suitability(
