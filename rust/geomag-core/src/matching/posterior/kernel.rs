@@ -267,6 +267,7 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
     let needed = (setup.min_overlap * n as f64).max(1.0);
     let mut out = [[f64::NEG_INFINITY; LANES]; LEVELS];
     let mut bias = [0.0; LANES];
+    let mut theta = [[0.0; LANES]; MOST];
     let mut weighed: Option<(f64, Wide)> = None;
     for index in levels {
         let level = &setup.levels[index];
@@ -280,7 +281,7 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
         if setup.shapes.is_empty() {
             one_bias::<BOUND>(setup, scratch, level.nu as f32, turns, &mut bias, &mut lane);
         } else {
-            let (_, log) = nuisances::<BOUND>(setup, scratch, level.nu as f32);
+            let log = nuisances::<BOUND>(setup, scratch, level.nu as f32, turns, &mut theta);
             for l in 0..LANES {
                 lane[l] += log[l];
             }
@@ -426,10 +427,16 @@ fn derivatives(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usize, h: &mut
     }
 }
 
-/// The most likely nuisance parameters (bias first, where there is one; the others in standard deviations) and the log
-/// of the Student-t product with all of them integrated out.
+/// The log of the Student-t product with all nuisance parameters integrated out; `theta` becomes their most likely values
+/// (bias first, where there is one; the others in standard deviations), sought from those given.
 #[inline(always)]
-fn nuisances<const BOUND: bool>(setup: &Setup<'_>, scratch: &Scratch, nu: f32) -> ([Wide; MOST], Wide) {
+fn nuisances<const BOUND: bool>(
+    setup: &Setup<'_>,
+    scratch: &Scratch,
+    nu: f32,
+    turns: &[f32],
+    theta: &mut [Wide; MOST],
+) -> Wide {
     let n = scratch.rows.len();
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let size = (with_bias + setup.shapes.len()).min(MOST);
@@ -438,13 +445,12 @@ fn nuisances<const BOUND: bool>(setup: &Setup<'_>, scratch: &Scratch, nu: f32) -
     if let Some(s) = setup.bias_sigma {
         prior[0] = if s.is_finite() { 1.0 / (s * s) } else { 0.0 };
     }
-    let mut theta = [[0.0_f64; LANES]; MOST];
     let mut h = [[0.0_f32; LANES]; MOST];
     let mut matrix = [[[0.0_f64; LANES]; MOST]; MOST];
     let mut right = [[0.0_f64; LANES]; MOST];
-    for (turn, wide) in WIDENING.into_iter().chain([0.0]).enumerate() {
-        let expected = turn == WIDENING.len();
-        let last = turn + 2 >= WIDENING.len();
+    for (turn, wide) in turns.iter().copied().chain([0.0]).enumerate() {
+        let expected = turn == turns.len();
+        let last = turn + 2 >= turns.len();
         let at = theta.map(|t| t.map(|v| v as f32));
         let mut sums = [[[0.0_f32; LANES]; MOST]; MOST];
         let mut pulls = [[0.0_f32; LANES]; MOST];
@@ -528,7 +534,7 @@ fn nuisances<const BOUND: bool>(setup: &Setup<'_>, scratch: &Scratch, nu: f32) -
             }
         }
     }
-    (theta, log)
+    log
 }
 
 /// Cholesky factor of a small symmetric matrix in its own lower triangle, lane by lane.
@@ -592,7 +598,8 @@ pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch:
     fill::<false>(setup, &[offset], scratch);
     weigh(scratch, (level.factor * level.factor) as f32);
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let (theta, _) = nuisances::<false>(setup, scratch, level.nu as f32);
+    let mut theta = [[0.0; LANES]; MOST];
+    nuisances::<false>(setup, scratch, level.nu as f32, &WIDENING, &mut theta);
     let nu = level.nu;
     let (mut misfit, mut known) = (0.0, 0);
     let size = with_bias + setup.shapes.len();

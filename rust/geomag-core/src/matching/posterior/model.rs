@@ -47,7 +47,7 @@ pub struct PosteriorOptions {
     pub scale_sigma: f64,
     /// Standard deviation of the position jitter of one sample, metres.
     pub position_sigma_m: f64,
-    /// Degrees of freedom of the errors; `None` takes the map's own, or 3 (10 for the error levels at which the sensor's error is all).
+    /// Degrees of freedom of the errors; `None` takes the map's own, or 3; where the sensor's error is all, 10 and the normal law.
     pub nu: Option<f64>,
     /// Least share of the samples that a candidate must have on the map.
     pub min_overlap: f64,

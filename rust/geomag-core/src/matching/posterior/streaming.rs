@@ -24,7 +24,9 @@ use crate::track::Track;
 
 /// Width of the gate in standard deviations of one sample.
 const GATE: f64 = 5.0;
-/// Share of the samples that may fall outside the gate, beside two.
+/// Samples that may fall outside the gate, and the share of all that may beside them: with one outlier in twenty, one track
+/// in a hundred thousand has more.
+const FIRST_MISSES: u32 = 3;
 const MISSES: f64 = 0.2;
 /// Candidates times samples up to which the posterior is taken at every sample.
 const CHEAP: usize = 800;
@@ -356,7 +358,7 @@ impl PosteriorMatcher {
             None => f64::INFINITY,
             Some(s) => 4.0 * s,
         };
-        let allowed = 2 + (MISSES * self.state.seen as f64) as u32;
+        let allowed = FIRST_MISSES + (MISSES * self.state.seen as f64) as u32;
         self.state.candidates.retain_mut(|c| {
             let [px, py] = patch.position(x + c.offset[0], y + c.offset[1]);
             let sample = patch.at(px, py);
