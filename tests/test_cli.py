@@ -214,6 +214,19 @@ def test_reproduce_quickly(tmp_path, capsys, data):
     assert off[3] > 0.2 * off[1]
 
 
+def test_a_word_on_the_map_lets_the_posterior_fix(files, capsys):
+    match = ("match", files / "map.nc", files / "log.csv", "--method", "posterior", "--half-width-m", 1200, "--json")
+    common = ("--sigma", 1, "--tolerance-m", 100)
+    status, out, _ = call(capsys, *match, *common, "--map-sigma", 0, "--heading-deg", 0.2)
+    fix = json.loads(out)
+    assert status == 0
+    assert fix["risk"] <= 0.01
+    assert fix["offset"] == pytest.approx([0.0063, -0.0041], abs=0.0005)
+    status, _, said = call(capsys, *match, *common, "--map-sigma", -1)
+    assert status == 1
+    assert "sigma" in said
+
+
 @pytest.mark.parametrize("key", EXPERIMENTS)
 def test_every_experiment_can_be_run(key):
     assert callable(importlib.import_module(f"geomag.reproduce.{key.lower()}").run)

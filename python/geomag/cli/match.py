@@ -68,14 +68,24 @@ def match(
         ),
     ] = 0.0,
     max_risk: Annotated[float, typer.Option(help="Posterior: declared risk up to which it is a fix.")] = 0.01,
+    map_sigma: Annotated[
+        float | None,
+        typer.Option(
+            help="Posterior: standard deviation of the map's own error, 0 for a map that is right. Not given: unknown, which "
+            "costs fixes."
+        ),
+    ] = None,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
         float,
         typer.Option(
-            help="Search headings up to this, in five steps a side (not IEMA). Contour: standard deviation of the heading."
+            help="Search headings up to this, in five steps a side (not IEMA). Posterior, contour: standard deviation "
+            "of the heading."
         ),
     ] = 0.0,
-    scale_sigma: Annotated[float, typer.Option(help="Contour: standard deviation of the speed error, a ratio.")] = 0.0,
+    scale_sigma: Annotated[
+        float, typer.Option(help="Posterior, contour: standard deviation of the speed error, a ratio.")
+    ] = 0.0,
     letter: Annotated[
         bool,
         typer.Option(help="Contour: rigid ICCP to the letter, from the INS; otherwise a lattice of starts, refined."),
@@ -92,7 +102,7 @@ def match(
     geojson: Annotated[Path | None, typer.Option(help="Write track and fix as GeoJSON to this file.")] = None,
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
-    grid = read_grid(map, variable, geographic=geographic)
+    grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
     samples = load_track(track, grid, x, y, value, drop_missing)
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     fix, steps = solve(
