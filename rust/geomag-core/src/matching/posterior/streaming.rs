@@ -403,7 +403,6 @@ impl PosteriorMatcher {
             return;
         }
         s.moved_m = 0.0;
-        let rings = steps.map(|s| s.ceil() as i64);
         let most = s.lattice.most;
         let node = |c: &Candidate| s.lattice.node(c.offset);
         let (mut low, mut high) = (node(first), node(first));
@@ -413,24 +412,26 @@ impl PosteriorMatcher {
                 high[d] = high[d].max(at[d]);
             }
         }
+        let rings = [0, 1].map(|d| (steps[d].ceil() as i64).min(2 * most[d]));
         for d in 0..2 {
             low[d] = (low[d] - rings[d]).max(-most[d]);
             high[d] = (high[d] + rings[d]).min(most[d]);
         }
         let columns = (high[0] - low[0] + 1) as usize;
         let rows = (high[1] - low[1] + 1) as usize;
-        let mut spread: Vec<Option<Candidate>> = vec![None; columns * rows];
-        for c in &s.candidates {
-            let at = node(c);
-            for j in (at[1] - rings[1]).max(low[1])..=(at[1] + rings[1]).min(high[1]) {
-                for i in (at[0] - rings[0]).max(low[0])..=(at[0] + rings[0]).min(high[0]) {
-                    let place = &mut spread[(j - low[1]) as usize * columns + (i - low[0]) as usize];
-                    let offset = s.lattice.offset([i, j]);
-                    place.get_or_insert(Candidate { offset, ..*c }).join(c);
+        // A box is a row of columns: one axis after the other costs the sum of its sides, not their product.
+        for d in 0..2 {
+            let mut wider: Vec<Option<Candidate>> = vec![None; columns * rows];
+            for c in &s.candidates {
+                let at = s.lattice.node(c.offset);
+                for k in (at[d] - rings[d]).max(low[d])..=(at[d] + rings[d]).min(high[d]) {
+                    let to = if d == 0 { [k, at[1]] } else { [at[0], k] };
+                    let place = &mut wider[(to[1] - low[1]) as usize * columns + (to[0] - low[0]) as usize];
+                    place.get_or_insert(Candidate { offset: s.lattice.offset(to), ..*c }).join(c);
                 }
             }
+            s.candidates = wider.into_iter().flatten().collect();
         }
-        s.candidates = spread.into_iter().flatten().collect();
     }
 
     /// Drops the candidates that the posterior has ruled out; `kept` is in the order of the candidates.
@@ -444,5 +445,62 @@ impl PosteriorMatcher {
             }
             found
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{GridMap, GridValues, MapSigma};
+
+    #[test]
+    fn an_outlier_costs_one_miss_wherever_it_comes() {
+        for outlier in 0..6 {
+            let mut c = Candidate::new([0.0; 2]);
+            for k in 0..12 {
+                let middle = if k == outlier { 90.0 } else { 10.0 + 0.1 * f64::from(k) };
+                c.take([middle - 2.0, middle + 2.0], f64::INFINITY);
+            }
+            assert_eq!((c.misses, c.support), (1, 11), "outlier at {outlier}");
+            assert!(c.bias[0] > 8.0 && c.bias[1] < 12.2, "{:?}", c.bias);
+        }
+    }
+
+    #[test]
+    fn a_bias_beyond_its_bound_is_a_miss() {
+        let mut c = Candidate::new([0.0; 2]);
+        for _ in 0..5 {
+            c.take([30.0, 34.0], 20.0);
+        }
+        assert_eq!((c.misses, c.support), (5, 0));
+    }
+
+    #[test]
+    fn candidates_spread_as_far_as_the_offset_may_have_moved() {
+        let axis: Vec<f64> = (0..60).map(|i| 100.0 * f64::from(i)).collect();
+        let values = (0..3600).map(f64::from).collect();
+        let map = GridMap::new(GridValues::F64(values), &axis, &axis, false).unwrap();
+        let map = map.with_sigma(Some(MapSigma::Constant(0.0))).unwrap();
+        let mut options = PosteriorOptions::new([1000.0; 2]);
+        options.heading_sigma_deg = 1.0;
+        let mut matcher = PosteriorMatcher::new(Arc::new(map), Some(1.0), options, 10).unwrap();
+        matcher.state.y.push(3000.0);
+        matcher.state.candidates = vec![
+            Candidate { misses: 2, bias: [0.0, 4.0], ..Candidate::new([200.0, 300.0]) },
+            Candidate { misses: 1, bias: [3.0, 5.0], ..Candidate::new([900.0, 300.0]) },
+        ];
+        matcher.state.moved_m = 150.0;
+        matcher.spread(2.0);
+        assert_eq!(matcher.state.candidates.len(), 2, "not far enough to spread");
+        matcher.spread(0.5);
+        let places: Vec<[f64; 2]> = matcher.state.candidates.iter().map(|c| c.offset).collect();
+        // Five columns about the first, three and the edge about the second, and five rows.
+        assert_eq!(places.len(), 5 * 5 + 4 * 5);
+        assert!(places.iter().all(|o| o[0].abs() <= 1000.0 && (o[1] - 300.0).abs() <= 200.0));
+        assert!(places.windows(2).all(|w| (w[0][1], w[0][0]) < (w[1][1], w[1][0])), "row by row");
+        assert_eq!(matcher.state.moved_m, 0.0);
+        let mut near = Candidate { misses: 2, bias: [0.0, 4.0], ..Candidate::new([0.0; 2]) };
+        near.join(&Candidate { misses: 1, support: 7, bias: [3.0, 5.0], ..Candidate::new([100.0, 0.0]) });
+        assert_eq!((near.offset, near.misses, near.support, near.bias), ([0.0; 2], 1, 7, [0.0, 5.0]));
     }
 }
