@@ -183,6 +183,9 @@ def test_bad_input_says_what_was_needed(grid):
         geomag.match_posterior(grid, track, half_width=1000, step=0.01)
     with pytest.raises(geomag.InvalidInputError, match="max_risk"):
         geomag.match_posterior(grid, track, half_width=1000, max_risk=2)
+    for name, value in {"heading_sigma_deg": 181, "scale_sigma": 2, "drift_sigma_m": np.inf}.items():
+        with pytest.raises(geomag.InvalidInputError, match=name):
+            geomag.match_posterior(grid, track, half_width=1000, **{name: value})
     with pytest.raises(geomag.ShapeError):
         grid.with_error_model(nu=3, scale_spread=0.3, correlation=1, registration=0.1, distance_m=np.zeros((2, 2)))
 

@@ -23,6 +23,9 @@ const DEFAULT_REGISTRATION: f64 = 0.15;
 /// be a smooth field known exactly or a sparse survey. Exactness must earn its place.
 const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, -4.0), (0.1, -3.5), (0.33, -1.5), (1.0, 0.0), (3.0, -1.0)];
 
+/// Largest standard deviation of a drift: half the way round the Earth.
+const MOST_DRIFT_M: f64 = 2e7;
+
 /// Most error levels of one channel.
 pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len();
 
@@ -100,9 +103,15 @@ impl PosteriorOptions {
         if let Some(sigma) = self.bias_sigma {
             require_not_negative("bias_sigma", sigma)?;
         }
-        require_not_negative("drift_sigma_m", self.drift_sigma_m)?;
-        require_not_negative("heading_sigma_deg", self.heading_sigma_deg)?;
-        require_not_negative("scale_sigma", self.scale_sigma)?;
+        for (name, value, most) in [
+            ("drift_sigma_m", self.drift_sigma_m, MOST_DRIFT_M),
+            ("heading_sigma_deg", self.heading_sigma_deg, 180.0),
+            ("scale_sigma", self.scale_sigma, 1.0),
+        ] {
+            if require_not_negative(name, value)? > most {
+                return Err(Error::invalid(name, format!("at most {most}"), value));
+            }
+        }
         require_not_negative("position_sigma_m", self.position_sigma_m)?;
         if let Some(nu) = self.nu {
             require_positive("nu", nu)?;

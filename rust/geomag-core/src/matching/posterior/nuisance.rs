@@ -10,7 +10,7 @@ const SPACING: f64 = 2.0;
 /// Share of the prior's standard deviation from which it is not worth dividing.
 const WHOLE: f64 = 0.8;
 /// Most nodes; where more would be needed, each is wider.
-const NODES: usize = 150;
+const NODES: f64 = 150.0;
 
 /// What is common to all samples of a track and is not the offset: heading, scale and drift.
 ///
@@ -101,13 +101,11 @@ impl Nuisance {
     pub fn divided(mut self, linear_m: f64, away_m: &[[f64; 2]], age: &[f64]) -> Self {
         let levers = self.levers_m();
         let mut linear_m = linear_m;
-        let laws = loop {
-            let laws: Vec<NormalSum> = levers.iter().map(|lever| NormalSum::new(linear_m / lever)).collect();
-            if laws.iter().map(|law| law.nodes.len()).product::<usize>() <= NODES {
-                break laws;
-            }
+        let count = |linear_m: f64| levers.iter().map(|lever| NormalSum::count(linear_m / lever)).product::<f64>();
+        while count(linear_m) > NODES {
             linear_m *= 1.2;
-        };
+        }
+        let laws: Vec<NormalSum> = levers.iter().map(|lever| NormalSum::new(linear_m / lever)).collect();
         self.narrowed = laws.iter().map(|law| law.narrowed).collect();
         for (shape, narrowed) in self.shapes.iter_mut().zip(&self.narrowed) {
             for v in shape.iter_mut().flatten() {
@@ -190,19 +188,33 @@ struct NormalSum {
 }
 
 impl NormalSum {
-    /// Of laws of about this standard deviation, the whole where that is not much less than 1.
-    fn new(narrowed: f64) -> Self {
+    /// Distance between the nodes, and how many there are on either side of the middle.
+    fn layout(narrowed: f64) -> (f64, f64) {
         if narrowed >= WHOLE {
-            return Self { narrowed: 1.0, nodes: vec![(0.0, 0.0)] };
+            return (0.0, 0.0);
         }
         // Variances add: that of the means and that about them make the whole.
+        let between = (1.0 - narrowed * narrowed).sqrt();
+        let spacing = SPACING * narrowed * between;
+        (spacing, (REACH * between / spacing).ceil())
+    }
+
+    /// Number of nodes.
+    fn count(narrowed: f64) -> f64 {
+        2.0 * Self::layout(narrowed).1 + 1.0
+    }
+
+    /// Of laws of about this standard deviation, the whole where that is not much less than 1.
+    fn new(narrowed: f64) -> Self {
+        let (spacing, most) = Self::layout(narrowed);
+        if most == 0.0 {
+            return Self { narrowed: 1.0, nodes: vec![(0.0, 0.0)] };
+        }
         let between = 1.0 - narrowed * narrowed;
-        let spacing = SPACING * narrowed * between.sqrt();
-        let most = (REACH * between.sqrt() / spacing).ceil();
-        let count = 2 * most as i64 + 1;
-        let log = |i: i64| -0.5 * ((i as f64 - most) * spacing).powi(2) / between;
-        let total = (0..count).map(|i| log(i).exp()).sum::<f64>().ln();
-        Self { narrowed, nodes: (0..count).map(|i| ((i as f64 - most) * spacing, log(i) - total)).collect() }
+        let log = |at: f64| -0.5 * at * at / between;
+        let places: Vec<f64> = (0..=2 * most as i64).map(|i| (i as f64 - most) * spacing).collect();
+        let total = places.iter().map(|at| log(*at).exp()).sum::<f64>().ln();
+        Self { narrowed, nodes: places.into_iter().map(|at| (at, log(at) - total)).collect() }
     }
 }
 
@@ -225,6 +237,17 @@ mod tests {
     }
 
     #[test]
+    fn a_prior_without_measure_has_few_nodes() {
+        let mut options = PosteriorOptions::new([1000.0; 2]);
+        options.drift_sigma_m = 1e12;
+        options.scale_sigma = 1e9;
+        let (away, age) = ([[-5e3, 2e3], [0.0, 0.0]], [1.0, 0.0]);
+        let divided = Nuisance::new(&options, &away, &age).divided(10.0, &away, &age);
+        assert!(divided.nodes.len() as f64 <= NODES);
+        assert!(divided.shapes.iter().flatten().flatten().all(|v| v.is_finite()));
+    }
+
+    #[test]
     fn a_node_turns_stretches_and_shifts_as_the_shapes_say() {
         let mut options = PosteriorOptions::new([1000.0; 2]);
         options.heading_sigma_deg = 1.0;
@@ -234,7 +257,7 @@ mod tests {
         let age: Vec<f64> = (0..10).map(|k| f64::from(9 - k) / 9.0).collect();
         let whole = Nuisance::new(&options, &away, &age);
         let divided = whole.clone().divided(20.0, &away, &age);
-        assert!(divided.nodes.len() > 20 && divided.nodes.len() <= NODES);
+        assert!(divided.nodes.len() > 20 && divided.nodes.len() as f64 <= NODES);
         for node in &divided.nodes {
             // What the linear shapes leave out: the square of the angle, and the angle times the stretch.
             let (angle, stretch) = (node.at[0] * 1.0_f64.to_radians(), node.at[1] * 0.01);
