@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomag._geomag import GridMap, Track, match_posterior_many
-from geomag._optional import require
 from geomag.calibration import Calibration, calibrate_lines
-from geomag.io import read_grid
+from geomag.io import read_grid, read_table
 from geomag.reproduce import Context, Report, Table
 from geomag.survey import read_lines
 
@@ -48,8 +47,7 @@ HALF_WIDTH_M = 60_000.0
 
 def ship_sequences(context: Context, grid: GridMap, rng: np.random.Generator) -> tuple[list[Track], Floats]:
     """Equally spaced free-air anomalies along the legs, each with an indicated start off by up to the bound; the true offsets (n, 2)."""
-    pandas = require("pandas", "survey", "reading ship tracks")
-    table = pandas.read_csv(context.file(SHIPS))
+    table = read_table(context.file(SHIPS))
     table = table[table["cruise"].isin(CRUISES)].dropna(subset=["free_air_anomaly_mgal"])
     tracks, offsets = [], []
     for _, leg in table.groupby("line"):
