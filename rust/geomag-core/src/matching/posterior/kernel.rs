@@ -14,7 +14,7 @@
 use std::ops::Range;
 
 use super::model::{LEVELS, Level};
-use super::patch::{Corners, Patch};
+use super::patch::{BEND, Cells, DISTANCE, Patch, Place, VALUE, VARIANCE};
 
 /// Candidates handled together, so that the inner loops are vectors.
 pub(super) const LANES: usize = 16;
@@ -26,8 +26,6 @@ const PRODUCT: usize = 4;
 const LARGEST: f32 = 1e9;
 /// Most nuisance parameters: bias, heading, scale, drift east and north.
 const MOST: usize = 5;
-/// Most rows of the lattice in one block up to which the map is read in rows.
-const RUNS: usize = 3;
 /// Share of a sample inside its cell's reach in the step of a bound's bias: it does not pull, but must not let go at once.
 const INSIDE: f32 = 0.3;
 
@@ -39,7 +37,7 @@ type Wide = [f64; LANES];
 pub(super) struct Setup<'a> {
     pub patch: &'a Patch,
     /// Indicated positions in cells of the patch.
-    pub places: &'a [[f64; 2]],
+    pub places: &'a [Place],
     /// Measured values minus the patch's level, value units.
     pub values: &'a [f32],
     /// One over the unit of the residuals, value units.
@@ -109,6 +107,7 @@ impl Scores {
 
 /// Rows of one sample for a block of candidates.
 #[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
 struct Row {
     residual: Lane,
     map_variance: Lane,
@@ -162,88 +161,74 @@ impl<const BOUND: bool> pulp::WithSimd for Block<'_, '_, BOUND> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _simd: S) -> Scores {
-        fill::<BOUND>(self.setup, self.offsets, self.scratch);
+        if self.setup.patch.even {
+            fill::<BOUND, true>(self.setup, self.offsets, self.scratch);
+        } else {
+            fill::<BOUND, false>(self.setup, self.offsets, self.scratch);
+        }
         evaluate::<BOUND>(self.setup, self.levels, self.scratch)
     }
 }
 
 /// Samples the map along the track at every candidate.
 #[inline(always)]
-fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
+fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
     let n = setup.places.len();
     scratch.rows.resize(n, EMPTY);
     let unit = setup.per_unit;
     let [per_east, per_north] = setup.cell_m.map(|m| unit / m);
-    let [blur_x, blur_y] = setup.blur_m2;
+    let ([blur_x, blur_y], sensor_variance) = (setup.blur_m2, setup.sensor_variance);
     let [half_x, half_y] = setup.half_cells;
     let half = half_x.max(half_y);
-    // Candidates one cell apart lie alike in their cells: the map is read in rows, where there are few of them.
-    let mut starts = [0_usize; RUNS];
-    let mut runs = usize::from(!offsets.is_empty());
-    for lane in 1..offsets.len() {
-        let (a, b) = (offsets[lane - 1], offsets[lane]);
-        if !(a[1] == b[1] && (b[0] - a[0] - 1.0).abs() < 1e-9) {
-            if runs < RUNS {
-                starts[runs] = lane;
-            }
-            runs += 1;
-        }
-    }
-    let (mut x, mut y) = ([f64::NAN; LANES], [f64::NAN; LANES]);
-    for (l, offset) in offsets.iter().enumerate() {
-        (x[l], y[l]) = (offset[0], offset[1]);
-    }
-    let mut corners = Corners::NONE;
-    let even = setup.patch.even;
+    let cells = Cells::new(offsets);
+    let [even_variance, even_distance] = setup.patch.everywhere();
     for k in 0..n {
-        let place = setup.places[k];
         let row = &mut scratch.rows[k];
-        let mut read = runs <= RUNS;
-        if read {
-            for &start in starts.iter().take(runs) {
-                let [x, y] = offsets[start];
-                read &= setup.patch.corners_in_row(place[0] + x, place[1] + y, start, &mut corners);
-            }
-        }
-        if !read {
-            setup.patch.corners(&x.map(|x| place[0] + x), &y.map(|y| place[1] + y), &mut corners);
-        }
-        let [a, b, e, f] = &corners.nodes;
-        let mut mixed = [[0.0_f32; LANES]; 4];
-        for (q, wanted) in [true, !even, !even, true].into_iter().enumerate() {
-            if !wanted {
-                mixed[q] = [corners.nodes[0][0][q]; LANES];
-                continue;
-            }
-            for l in 0..LANES {
-                let (u, v) = (corners.u[l], corners.v[l]);
-                let low = a[l][q] + u * (b[l][q] - a[l][q]);
-                let high = e[l][q] + u * (f[l][q] - e[l][q]);
-                mixed[q][l] = low + v * (high - low);
-            }
-        }
-        let [value, variance, distance, bend] = &mixed;
+        let mut spots = setup.patch.locate(setup.places[k], &cells);
+        let values = setup.patch.read::<VALUE>(&cells, &mut spots);
+        let bend = setup.patch.read::<BEND>(&cells, &mut spots).mixed(&spots);
+        let value = values.mixed(&spots);
+        let [a, b, e, f] = values.0;
+        let (u, v) = (spots.u, spots.v);
+        let measured = setup.values[k];
+        let mut known = [0.0; LANES];
         for l in 0..LANES {
-            let (u, v) = (corners.u[l], corners.v[l]);
-            let (low, high) = (b[l][0] - a[l][0], f[l][0] - e[l][0]);
-            let (left, right) = (e[l][0] - a[l][0], f[l][0] - b[l][0]);
-            let (gx, gy) = (low + v * (high - low), left + u * (right - left));
-            let residual = (setup.values[k] - value[l]) * unit;
-            let on = residual.is_finite() & (corners.known[l] > 0.0) & (l < offsets.len());
-            let (gx_m, gy_m) = (gx * per_east, gy * per_north);
-            let curved = 0.5 * bend[l] * (u * (1.0 - u)).max(v * (1.0 - v)) * unit;
-            let extra =
-                setup.sensor_variance + curved * curved * (1.0 / 3.0) + gx_m * gx_m * blur_x + gy_m * gy_m * blur_y;
+            let residual = (measured - value[l]) * unit;
+            let on = residual.is_finite() & (spots.known[l] > 0.0) & (cells.used[l] > 0.0);
+            known[l] = if on { 1.0 } else { 0.0 };
             row.residual[l] = if on { residual } else { 0.0 };
-            row.map_variance[l] = if on { variance[l] * unit * unit } else { 0.0 };
-            row.extra_variance[l] = if on { extra } else { 1.0 };
-            row.known[l] = if on { 1.0 } else { 0.0 };
-            row.distance[l] = if on { distance[l] } else { 0.0 };
+        }
+        row.known = known;
+        let mut extra_variance = [0.0; LANES];
+        for l in 0..LANES {
+            let (low, high) = (b[l] - a[l], f[l] - e[l]);
+            let (left, right) = (e[l] - a[l], f[l] - b[l]);
+            let (gx, gy) = (low + v[l] * (high - low), left + u[l] * (right - left));
+            let (gx_m, gy_m) = (gx * per_east, gy * per_north);
+            let curved = 0.5 * bend[l] * (u[l] * (1.0 - u[l])).max(v[l] * (1.0 - v[l])) * unit;
+            let extra = sensor_variance + curved * curved * (1.0 / 3.0) + gx_m * gx_m * blur_x + gy_m * gy_m * blur_y;
+            let on = known[l] > 0.0;
+            extra_variance[l] = extra;
             row.gradient[0][l] = if on { gx_m } else { 0.0 };
             row.gradient[1][l] = if on { gy_m } else { 0.0 };
             if BOUND {
                 let reach = (half_x * gx.abs() + half_y * gy.abs() + half * bend[l]) * unit;
                 row.reach[l] = if on { reach } else { 0.0 };
+            }
+        }
+        for l in 0..LANES {
+            row.extra_variance[l] = if known[l] > 0.0 { extra_variance[l] } else { 1.0 };
+        }
+        if EVEN {
+            row.map_variance = known.map(|on| on * even_variance * unit * unit);
+            row.distance = known.map(|on| on * even_distance);
+        } else {
+            let variance = setup.patch.read::<VARIANCE>(&cells, &mut spots).mixed(&spots);
+            let distance = setup.patch.read::<DISTANCE>(&cells, &mut spots).mixed(&spots);
+            for l in 0..LANES {
+                let on = known[l] > 0.0;
+                row.map_variance[l] = if on { variance[l] * unit * unit } else { 0.0 };
+                row.distance[l] = if on { distance[l] } else { 0.0 };
             }
         }
     }
@@ -595,7 +580,7 @@ pub(super) struct Detail {
 
 /// Looks closely at one candidate (cells of the map) under one error level.
 pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
-    fill::<false>(setup, &[offset], scratch);
+    fill::<false, false>(setup, &[offset], scratch);
     weigh(scratch, (level.factor * level.factor) as f32);
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let mut theta = [[0.0; LANES]; MOST];

@@ -77,6 +77,11 @@ pub fn match_posterior(
 /// # Errors
 /// As [`match_posterior`]; [`Error::Shape`](crate::error::Error::Shape) where a channel has another number of values.
 pub fn match_channels(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions) -> Result<Fix> {
+    // One entry into the pool of threads, not one a stage.
+    rayon::scope(|_| solve(channels, track, options))
+}
+
+fn solve(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions) -> Result<Fix> {
     let problem = Problem::new(channels, track, options)?;
     let lattice = problem.lattice()?;
     let posterior = problem.solve(lattice.offsets(), lattice.step);

@@ -13,8 +13,17 @@ pub(super) const DEFAULT_DISTANCE_CELLS: f64 = 4.0;
 const SMOOTHING_CELLS: usize = 2;
 /// Largest distance in cells between a node and the hole next to it over which nothing is interpolated.
 const NODE_TOLERANCE: f64 = 1e-9;
+/// The same of a sum of two parts of a cell in single precision.
+const PART_TOLERANCE: f32 = 4e-7;
+/// Most rows of the lattice in one block up to which the map is read in rows.
+const RUNS: usize = 3;
 
-/// A window of the map: `[value - level, error variance, distance to data, largest second difference]` a node.
+/// Planes of a patch: value minus level, error variance, distance to data, largest second difference.
+pub(super) const VALUE: usize = 0;
+pub(super) const VARIANCE: usize = 1;
+pub(super) const DISTANCE: usize = 2;
+pub(super) const BEND: usize = 3;
+/// A window of the map, a plane a quantity.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
     /// Coordinate of the map's (not the patch's) first node.
@@ -25,7 +34,7 @@ pub(super) struct Patch {
     first: [i64; 2],
     columns: usize,
     rows: usize,
-    nodes: Vec<[f32; 4]>,
+    planes: [Vec<f32>; 4],
     /// Value subtracted from every node, so that single precision suffices.
     pub level: f64,
     /// Whether error variance and distance are the same at every node.
@@ -44,19 +53,140 @@ pub(super) struct Sample {
     pub curvature: f32,
 }
 
-/// The four nodes around each of [`LANES`] places: lower left, lower right, upper left, upper right.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Corners {
-    pub nodes: [[[f32; 4]; LANES]; 4],
-    /// Place between the nodes, 0 to 1.
-    pub u: [f32; LANES],
-    pub v: [f32; LANES],
-    pub known: [f32; LANES],
+/// Up to [`LANES`] offsets in cells, as whole cells and the rest; the last is repeated where there are fewer.
+#[derive(Debug)]
+pub(super) struct Cells {
+    whole: [[i32; LANES]; 2],
+    part: [[f32; LANES]; 2],
+    /// 1 for an offset, 0 for a repetition.
+    pub used: [f32; LANES],
+    /// Where rows of offsets one cell apart start, and how many such rows there are.
+    starts: [usize; RUNS],
+    runs: usize,
+    /// Lanes of the least and the greatest offset along each axis.
+    extremes: [[usize; 2]; 2],
 }
 
+impl Cells {
+    pub fn new(offsets: &[[f64; 2]]) -> Self {
+        let mut cells = Self {
+            whole: [[0; LANES]; 2],
+            part: [[0.0; LANES]; 2],
+            used: [0.0; LANES],
+            starts: [0; RUNS],
+            runs: usize::from(!offsets.is_empty()),
+            extremes: [[0; 2]; 2],
+        };
+        for lane in 0..LANES {
+            let Some(offset) = offsets.get(lane.min(offsets.len().wrapping_sub(1))) else { break };
+            let Place { whole, part } = Place::new(*offset);
+            for d in 0..2 {
+                (cells.whole[d][lane], cells.part[d][lane]) = (whole[d], part[d]);
+                let at = |lane: usize| (cells.whole[d][lane], cells.part[d][lane]);
+                let [least, greatest] = cells.extremes[d];
+                if at(lane) < at(least) {
+                    cells.extremes[d][0] = lane;
+                } else if at(lane) > at(greatest) {
+                    cells.extremes[d][1] = lane;
+                }
+            }
+            if lane < offsets.len() {
+                cells.used[lane] = 1.0;
+            }
+        }
+        for lane in 1..offsets.len() {
+            let (a, b) = (offsets[lane - 1], offsets[lane]);
+            if !(a[1] == b[1] && (b[0] - a[0] - 1.0).abs() < 1e-9) {
+                if cells.runs < RUNS {
+                    cells.starts[cells.runs] = lane;
+                }
+                cells.runs += 1;
+            }
+        }
+        cells
+    }
+}
+
+/// A place in cells of the patch: whole cells, and the rest in [0, 1].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Place {
+    whole: [i32; 2],
+    part: [f32; 2],
+}
+
+impl Place {
+    pub fn new(cells: [f64; 2]) -> Self {
+        let whole = cells.map(|c| c.floor().clamp(-1e9, 1e9));
+        Self { whole: whole.map(|w| w as i32), part: [0, 1].map(|d| (cells[d] - whole[d]) as f32) }
+    }
+}
+
+/// Whole cells and the rest of a coordinate at every offset, on an axis of `size` nodes; 2 where it lies on the axis, 1 where
+/// on either end of it, else 0.
+#[inline(always)]
+fn along(place: Place, d: usize, cells: &Cells, size: usize) -> ([i32; LANES], [f32; LANES], [i32; LANES]) {
+    let (place, rest, whole, part) = (place.whole[d], place.part[d], &cells.whole[d], &cells.part[d]);
+    let last = size as i32 - 1;
+    let (mut at, mut between, mut on) = ([0; LANES], [0.0; LANES], [0; LANES]);
+    for l in 0..LANES {
+        let sum = rest + part[l];
+        let carry = sum >= 1.0;
+        let cell = place + whole[l] + i32::from(carry);
+        let sum = if carry { sum - 1.0 } else { sum };
+        let before = (cell == -1) & (sum >= 1.0 - PART_TOLERANCE);
+        let after = (cell == last) & (sum <= PART_TOLERANCE);
+        let between_nodes = (cell >= 0) & (cell < last);
+        let inside = between_nodes | before | after;
+        let sum = if before { 0.0 } else { sum };
+        between[l] = if after { 1.0 } else { sum };
+        at[l] = cell.min(last - 1).max(0);
+        on[l] = i32::from(inside) + i32::from(between_nodes);
+    }
+    (at, between, on)
+}
+
+/// Where a place lies at every offset.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct Spots {
+    /// Between the nodes, 0 to 1.
+    pub u: [f32; LANES],
+    pub v: [f32; LANES],
+    /// 1 on the patch, 0 off it.
+    pub known: [f32; LANES],
+    /// Column and row of the lower left node.
+    column: [i32; LANES],
+    row: [i32; LANES],
+    way: Way,
+}
+
+/// How the nodes around the places are read.
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    /// Row by row: the offsets are one cell apart.
+    Rows,
+    /// The places lie in one cell of the map or about the corner of four, of which this is the lower left one.
+    Close([i32; 2]),
+    /// Each by itself.
+    Apart,
+}
+
+/// A quantity at the four nodes around every place: lower left, lower right, upper left, upper right.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct Corners(pub [[f32; LANES]; 4]);
+
 impl Corners {
-    pub const NONE: Self =
-        Self { nodes: [[[0.0; 4]; LANES]; 4], u: [0.0; LANES], v: [0.0; LANES], known: [0.0; LANES] };
+    /// Interpolated.
+    #[inline(always)]
+    pub fn mixed(&self, spots: &Spots) -> [f32; LANES] {
+        let [a, b, e, f] = &self.0;
+        std::array::from_fn(|l| {
+            let low = a[l] + spots.u[l] * (b[l] - a[l]);
+            let high = e[l] + spots.u[l] * (f[l] - e[l]);
+            low + spots.v[l] * (high - low)
+        })
+    }
 }
 
 impl Patch {
@@ -78,15 +208,14 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let mut patch =
-            Self { origin, step, first, columns, rows, nodes: vec![[0.0; 4]; columns * rows], level, even: false };
+        let planes = std::array::from_fn(|_| vec![0.0; columns * rows]);
+        let mut patch = Self { origin, step, first, columns, rows, planes, level, even: false };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
         let map_columns = grid.map_or(0, |g| g.x().len());
         for r in 0..rows {
             for c in 0..columns {
                 let (row, column) = (first[1] + r as i64, first[0] + c as i64);
-                let node = &mut patch.nodes[r * columns + c];
-                if let Some(g) = grid {
+                let node = if let Some(g) = grid {
                     let i = row as usize * map_columns + column as usize;
                     let sigma = match g.map_sigma() {
                         None => 0.0,
@@ -99,11 +228,14 @@ impl Patch {
                         Some(DistanceLayer::Grid(layer)) => layer[i],
                     };
                     let value = if sigma.is_nan() || distance.is_nan() { f64::NAN } else { g.values().get(i) - level };
-                    *node = [value as f32, (sigma * sigma) as f32, distance, 0.0];
+                    [value as f32, (sigma * sigma) as f32, distance]
                 } else {
                     let (x, y) = (origin[0] + column as f64 * step[0], origin[1] + row as f64 * step[1]);
                     let sigma = field.sigma(x, y);
-                    *node = [(field.value(x, y) - level) as f32, (sigma * sigma) as f32, default_distance, 0.0];
+                    [(field.value(x, y) - level) as f32, (sigma * sigma) as f32, default_distance]
+                };
+                for (plane, quantity) in patch.planes.iter_mut().zip(node) {
+                    plane[r * columns + c] = quantity;
                 }
             }
         }
@@ -111,28 +243,28 @@ impl Patch {
         if grid.is_some_and(|g| g.map_sigma().is_none()) {
             patch.fill_default_variance([step[0] * east / cell_m, step[1] * north / cell_m]);
         }
-        let first = patch.nodes[0];
-        patch.even = patch.nodes.iter().all(|node| node[1] == first[1] && node[2] == first[2]);
+        patch.even = [VARIANCE, DISTANCE].iter().all(|&q| patch.planes[q].iter().all(|v| *v == patch.planes[q][0]));
         patch
     }
 
     /// Root mean square of the largest second difference at a node, value units.
     pub fn typical_bend(&self) -> f64 {
-        let sum: f64 = self.nodes.iter().map(|node| f64::from(node[3]).powi(2)).sum();
-        (sum / self.nodes.len() as f64).sqrt()
+        let sum: f64 = self.planes[BEND].iter().map(|bend| f64::from(*bend).powi(2)).sum();
+        (sum / self.planes[BEND].len() as f64).sqrt()
     }
 
     /// Second differences of the values: what bilinear interpolation leaves out.
     fn fill_bends(&mut self) {
         let (columns, rows) = (self.columns, self.rows);
+        let [values, .., bends] = &mut self.planes;
         for r in 0..rows {
             for c in 0..columns {
-                let at = |r: usize, c: usize| self.nodes[r * columns + c][0];
+                let at = |r: usize, c: usize| values[r * columns + c];
                 let middle = at(r, c);
                 let across = if c > 0 && c + 1 < columns { at(r, c - 1) + at(r, c + 1) - 2.0 * middle } else { 0.0 };
                 let along = if r > 0 && r + 1 < rows { at(r - 1, c) + at(r + 1, c) - 2.0 * middle } else { 0.0 };
                 let bend = across.abs().max(along.abs());
-                self.nodes[r * columns + c][3] = if bend.is_finite() { bend } else { 0.0 };
+                bends[r * columns + c] = if bend.is_finite() { bend } else { 0.0 };
             }
         }
     }
@@ -144,14 +276,14 @@ impl Patch {
     fn fill_default_variance(&mut self, aspect: [f64; 2]) {
         let (columns, rows) = (self.columns, self.rows);
         let mut square = vec![[0.0_f64; 2]; columns * rows];
-        let at = |nodes: &[[f32; 4]], r: usize, c: usize| f64::from(nodes[r * columns + c][0]);
+        let at = |r: usize, c: usize| f64::from(self.planes[VALUE][r * columns + c]);
         for r in 0..rows {
             for c in 0..columns {
                 let slope = |a: f64, b: f64, cells: f64| if cells > 0.0 { (b - a) / cells } else { 0.0 };
                 let (c0, c1) = (c.saturating_sub(1), (c + 1).min(columns - 1));
                 let (r0, r1) = (r.saturating_sub(1), (r + 1).min(rows - 1));
-                let gx = slope(at(&self.nodes, r, c0), at(&self.nodes, r, c1), (c1 - c0) as f64 * aspect[0]);
-                let gy = slope(at(&self.nodes, r0, c), at(&self.nodes, r1, c), (r1 - r0) as f64 * aspect[1]);
+                let gx = slope(at(r, c0), at(r, c1), (c1 - c0) as f64 * aspect[0]);
+                let gy = slope(at(r0, c), at(r1, c), (r1 - r0) as f64 * aspect[1]);
                 let total = gx * gx + gy * gy;
                 square[r * columns + c] = if total.is_finite() { [total, 1.0] } else { [0.0, 0.0] };
             }
@@ -174,7 +306,7 @@ impl Patch {
                     count += across[k * columns + c][1];
                 }
                 let mean = if count > 0.0 { sum / count } else { 0.0 };
-                self.nodes[r * columns + c][1] = (DEFAULT_ERROR_CELLS * DEFAULT_ERROR_CELLS * mean) as f32;
+                self.planes[VARIANCE][r * columns + c] = (DEFAULT_ERROR_CELLS * DEFAULT_ERROR_CELLS * mean) as f32;
             }
         }
     }
@@ -205,87 +337,213 @@ impl Patch {
         let r = (py.max(0.0) as usize).min(self.rows.saturating_sub(2));
         let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
         let i = r * self.columns + c;
-        let (Some(&[a, b]), Some(&[e, f])) =
-            (self.nodes[i..].first_chunk::<2>(), self.nodes.get(i + self.columns..).and_then(|s| s.first_chunk::<2>()))
-        else {
-            return UNKNOWN;
-        };
         let mut mixed = [0.0_f32; 4];
-        for k in 0..4 {
-            let low = a[k] + u * (b[k] - a[k]);
-            let high = e[k] + u * (f[k] - e[k]);
-            mixed[k] = low + v * (high - low);
+        let mut slope = [0.0_f32; 2];
+        for (q, plane) in self.planes.iter().enumerate() {
+            let Some([a, b, e, f]) = self.around(plane, i) else {
+                return UNKNOWN;
+            };
+            let low = a + u * (b - a);
+            let high = e + u * (f - e);
+            mixed[q] = low + v * (high - low);
+            if q == VALUE {
+                slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
+            }
         }
         let [value, variance, distance, bend] = mixed;
-        let gx = (b[0] - a[0]) + v * ((f[0] - e[0]) - (b[0] - a[0]));
-        let gy = (e[0] - a[0]) + u * ((f[0] - b[0]) - (e[0] - a[0]));
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
-        Sample { value, variance, distance, gradient: [gx, gy], curvature }
+        Sample { value, variance, distance, gradient: slope, curvature }
     }
 
-    /// The nodes around [`LANES`] places (cells of the patch), and where the places lie between them; places that are
-    /// not on the patch are marked unknown.
+    /// Where a place (cells of the patch) lies at every offset.
     #[inline(always)]
-    pub fn corners(&self, px: &[f64; LANES], py: &[f64; LANES], out: &mut Corners) {
-        let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
-        let (most_c, most_r) = (self.columns.saturating_sub(2) as i32, self.rows.saturating_sub(2) as i32);
-        let columns = self.columns as i32;
-        let mut index = [0_i32; LANES];
-        for l in 0..LANES {
-            let (x, y) = (px[l], py[l]);
-            let inside = (x >= -NODE_TOLERANCE)
-                & (y >= -NODE_TOLERANCE)
-                & (x <= last_column + NODE_TOLERANCE)
-                & (y <= last_row + NODE_TOLERANCE);
-            let (c, r) = ((x.max(0.0) as i32).min(most_c), (y.max(0.0) as i32).min(most_r));
-            out.u[l] = (x - f64::from(c)) as f32;
-            out.v[l] = (y - f64::from(r)) as f32;
-            out.known[l] = if inside { 1.0 } else { 0.0 };
-            index[l] = r * columns + c;
-        }
-        for l in 0..LANES {
-            let i = index[l] as usize;
-            let (Some(&[a, b]), Some(&[e, f])) = (
-                self.nodes.get(i..).and_then(|s| s.first_chunk::<2>()),
-                self.nodes.get(i + self.columns..).and_then(|s| s.first_chunk::<2>()),
-            ) else {
-                out.known[l] = 0.0;
-                continue;
-            };
-            (out.nodes[0][l], out.nodes[1][l], out.nodes[2][l], out.nodes[3][l]) = (a, b, e, f);
-        }
-    }
-
-    /// [`Patch::corners`] for places one cell apart along x from lane `start` on, the first at (`px`, `py`); the lanes before
-    /// it are left alone. `false`, with nothing done, where that would leave the patch.
-    #[inline(always)]
-    pub fn corners_in_row(&self, px: f64, py: f64, start: usize, out: &mut Corners) -> bool {
-        let inside =
-            px >= 0.0 && py >= 0.0 && px + LANES as f64 <= (self.columns - 1) as f64 && py < (self.rows - 1) as f64;
-        if !inside {
-            return false;
-        }
-        let (c, r) = (px as usize, py as usize);
-        let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
-        let i = r * self.columns + c;
-        let count = LANES - start;
-        let (Some(low), Some(high)) =
-            (self.nodes.get(i..=i + count), self.nodes.get(i + self.columns..=i + self.columns + count))
-        else {
-            return false;
+    pub fn locate(&self, place: Place, cells: &Cells) -> Spots {
+        let (column, u, on_columns) = along(place, 0, cells, self.columns);
+        let (row, v, on_rows) = along(place, 1, cells, self.rows);
+        let known = std::array::from_fn(|l| on_columns[l].min(on_rows[l]).min(1) as f32);
+        // What holds for both extremes holds for what lies between them.
+        let [[left, right], [lower, upper]] = cells.extremes;
+        let everywhere = on_columns[left] & on_columns[right] & on_rows[lower] & on_rows[upper] == 2;
+        let (left, right, lower, upper) = (column[left], column[right], row[lower], row[upper]);
+        let first = lower as usize * self.columns + left as usize;
+        let way = if cells.runs <= RUNS && everywhere && self.planes[VALUE].len() > first + self.columns + 2 * LANES {
+            Way::Rows
+        } else if right - left <= 1 && upper - lower <= 1 {
+            Way::Close([left, lower])
+        } else {
+            Way::Apart
         };
-        out.nodes[0][start..].copy_from_slice(&low[..count]);
-        out.nodes[1][start..].copy_from_slice(&low[1..]);
-        out.nodes[2][start..].copy_from_slice(&high[..count]);
-        out.nodes[3][start..].copy_from_slice(&high[1..]);
-        out.u[start..].fill(u);
-        out.v[start..].fill(v);
-        out.known[start..].fill(1.0);
-        true
+        Spots { u, v, known, column, row, way }
+    }
+
+    /// One quantity at the nodes around these spots.
+    #[inline(always)]
+    pub fn read<const QUANTITY: usize>(&self, cells: &Cells, spots: &mut Spots) -> Corners {
+        let plane = self.planes[QUANTITY].as_slice();
+        let read = match spots.way {
+            Way::Rows => self.in_rows(plane, cells, spots),
+            Way::Close(lowest) => self.close(plane, lowest, spots),
+            Way::Apart => None,
+        };
+        read.unwrap_or_else(|| self.apart(plane, spots))
+    }
+
+    /// Offsets one cell apart along x, row by row.
+    #[inline(always)]
+    fn in_rows(&self, plane: &[f32], cells: &Cells, spots: &Spots) -> Option<Corners> {
+        // Every row is written from its first lane on, beyond the last lane; the next one goes over the rest.
+        let mut padded = [[0.0_f32; 2 * LANES]; 4];
+        for &start in cells.starts.iter().take(cells.runs) {
+            let low = spots.row[start] as usize * self.columns + spots.column[start] as usize;
+            let high = low + self.columns;
+            for (i, corner) in [low, low + 1, high, high + 1].into_iter().zip(&mut padded) {
+                corner.get_mut(start..start + LANES)?.copy_from_slice(plane.get(i..i + LANES)?);
+            }
+        }
+        let mut corners = Corners([[0.0; LANES]; 4]);
+        for (corner, padded) in corners.0.iter_mut().zip(&padded) {
+            corner.copy_from_slice(&padded[..LANES]);
+        }
+        Some(corners)
+    }
+
+    /// Places in one cell of the map or about the corner of four.
+    #[inline(always)]
+    fn close(&self, plane: &[f32], [column, row]: [i32; 2], spots: &Spots) -> Option<Corners> {
+        let first = row as usize * self.columns + column as usize;
+        let of_row = |row: usize| plane.get(first + row * self.columns..)?.first_chunk::<3>();
+        let (&[a, b, c], &[d, e, f], &[g, h, i]) = (of_row(0)?, of_row(1)?, of_row(2)?);
+        let mut corners = Corners([[0.0; LANES]; 4]);
+        let [lower_left, lower_right, upper_left, upper_right] = &mut corners.0;
+        for l in 0..LANES {
+            let right = spots.column[l] > column;
+            let up = spots.row[l] > row;
+            let (a, b) = (if right { b } else { a }, if right { c } else { b });
+            let (d, e) = (if right { e } else { d }, if right { f } else { e });
+            let (g, h) = (if right { h } else { g }, if right { i } else { h });
+            lower_left[l] = if up { d } else { a };
+            lower_right[l] = if up { e } else { b };
+            upper_left[l] = if up { g } else { d };
+            upper_right[l] = if up { h } else { e };
+        }
+        Some(corners)
+    }
+
+    /// Places anywhere.
+    #[inline(always)]
+    fn apart(&self, plane: &[f32], spots: &mut Spots) -> Corners {
+        let mut corners = Corners([[0.0; LANES]; 4]);
+        for l in 0..LANES {
+            let i = spots.row[l] as usize * self.columns + spots.column[l] as usize;
+            if let Some(near) = self.around(plane, i) {
+                for (corner, node) in corners.0.iter_mut().zip(near) {
+                    corner[l] = node;
+                }
+            } else {
+                spots.known[l] = 0.0;
+            }
+        }
+        corners
+    }
+
+    /// The four nodes of a cell: lower left (number `i`), lower right, upper left, upper right.
+    #[inline(always)]
+    fn around(&self, plane: &[f32], i: usize) -> Option<[f32; 4]> {
+        let &[a, b] = plane.get(i..)?.first_chunk::<2>()?;
+        let &[e, f] = plane.get(i + self.columns..)?.first_chunk::<2>()?;
+        Some([a, b, e, f])
+    }
+
+    /// Error variance and distance to data of an even patch.
+    pub fn everywhere(&self) -> [f32; 2] {
+        [VARIANCE, DISTANCE].map(|q| self.planes[q][0])
     }
 
     /// Spacing, map units.
     pub fn step(&self) -> [f64; 2] {
         self.step
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{GridMap, GridValues};
+
+    /// A map of 20 by 15 nodes with a hole, or one whose sigma differs from node to node.
+    fn patch(uneven: bool) -> Patch {
+        let axis = |n: u32| (0..n).map(f64::from).collect::<Vec<f64>>();
+        let wave = |i: u32| 40.0 * (f64::from(i % 20) * 0.9).sin() + 25.0 * (f64::from(i / 20) * 0.7).cos();
+        let values = (0..300).map(|i| if i == 153 { f64::NAN } else { wave(i) }).collect();
+        let map = GridMap::new(GridValues::F64(values), &axis(20), &axis(15), false).unwrap();
+        let sigma = if uneven {
+            MapSigma::Grid((0..300).map(|i| 1.0 + 0.01 * f64::from(i)).collect())
+        } else {
+            MapSigma::Constant(2.0)
+        };
+        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0])
+    }
+
+    fn read_as_one_by_one(patch: &Patch, place: [f64; 2], offsets: &[[f64; 2]]) {
+        let cells = Cells::new(offsets);
+        let mut spots = patch.locate(Place::new(place), &cells);
+        let value = patch.read::<VALUE>(&cells, &mut spots).mixed(&spots);
+        let bend = patch.read::<BEND>(&cells, &mut spots).mixed(&spots);
+        let (variance, distance) = if patch.even {
+            let [variance, distance] = patch.everywhere();
+            ([variance; LANES], [distance; LANES])
+        } else {
+            let variance = patch.read::<VARIANCE>(&cells, &mut spots).mixed(&spots);
+            (variance, patch.read::<DISTANCE>(&cells, &mut spots).mixed(&spots))
+        };
+        for (l, o) in offsets.iter().enumerate() {
+            let wanted = patch.at(place[0] + o[0], place[1] + o[1]);
+            let known = spots.known[l] > 0.0 && value[l].is_finite();
+            assert_eq!(known, wanted.value.is_finite(), "{place:?} + {o:?}");
+            if known {
+                let curvature = 0.5 * bend[l] * (spots.u[l] * (1.0 - spots.u[l])).max(spots.v[l] * (1.0 - spots.v[l]));
+                assert!((value[l] - wanted.value).abs() < 1e-4, "{place:?} + {o:?}: {} {}", value[l], wanted.value);
+                assert!((variance[l] - wanted.variance).abs() < 1e-4);
+                assert!((curvature - wanted.curvature).abs() < 1e-4);
+                assert!((distance[l] - wanted.distance).abs() < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_read_what_single_places_do() {
+        let lattice = |count: usize, columns: usize, step: f64| -> Vec<[f64; 2]> {
+            (0..count).map(|i| [(i % columns) as f64 * step - 1.0, (i / columns) as f64 * step - 2.0]).collect()
+        };
+        let blocks = [
+            lattice(16, 16, 1.0),
+            lattice(16, 7, 1.0),
+            lattice(13, 9, 1.0),
+            lattice(16, 4, 0.125),
+            lattice(16, 4, 0.5),
+            lattice(5, 2, 0.01),
+            lattice(16, 3, 1.7),
+            vec![[0.0; 2]],
+        ];
+        for patch in [patch(false), patch(true)] {
+            for offsets in &blocks {
+                for place in (0..22).flat_map(|i| (0..18).map(move |j| [f64::from(i), f64::from(j)])) {
+                    read_as_one_by_one(&patch, place, offsets);
+                    read_as_one_by_one(&patch, [place[0] + 0.37, place[1] - 0.81], offsets);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_edge_belongs_to_the_patch_whatever_rounding_says() {
+        let patch = patch(false);
+        for (place, offset) in [([0.3, 5.0], [-0.3, 0.0]), ([18.9, 13.9], [0.1, 0.1]), ([5.7, 0.1], [0.0, -0.1])] {
+            let cells = Cells::new(&[offset]);
+            let mut spots = patch.locate(Place::new(place), &cells);
+            let value = patch.read::<VALUE>(&cells, &mut spots).mixed(&spots)[0];
+            let wanted = patch.at(place[0] + offset[0], place[1] + offset[1]).value;
+            assert!(spots.known[0] > 0.0 && (value - wanted).abs() < 1e-4, "{place:?}: {value} {wanted}");
+        }
     }
 }

@@ -7,8 +7,8 @@ use rayon::prelude::*;
 
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
 use super::model::{Channel, LEVELS, Noise, PosteriorOptions};
-use super::nuisance::{Nuisance, reach_m};
-use super::patch::Patch;
+use super::nuisance::{Node, Nuisance, reach_m};
+use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::displacement_m;
@@ -55,7 +55,9 @@ pub(super) struct Problem<'a> {
 pub(super) struct Prepared {
     patch: Arc<Patch>,
     /// Indicated positions at every node of the nuisance parameters, in cells of the patch: `places[node][sample]`.
-    places: Vec<Vec<[f64; 2]>>,
+    places: Vec<Vec<Place>>,
+    /// Indicated positions, cells of the patch.
+    indicated: Vec<[f64; 2]>,
     /// Measured values minus the patch's level, value units.
     values: Vec<f32>,
     pub noise: Noise,
@@ -162,13 +164,14 @@ impl<'a> Problem<'a> {
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
             let noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
-            let places: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
+            let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
             // The kernel's unit is the typical error, so that single precision has room on both sides of it.
-            let variances = places.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
+            let variances = indicated.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
             let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
             let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
             let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
-            prepared.push(Prepared { patch, places: vec![places], values, noise, cell_m, unit });
+            let places = vec![indicated.iter().copied().map(Place::new).collect()];
+            prepared.push(Prepared { patch, places, indicated, values, noise, cell_m, unit });
         }
         if !nuisance.shapes.is_empty() {
             let linear_m = prepared.iter().map(Prepared::linear_m).fold(f64::INFINITY, f64::min);
@@ -404,18 +407,15 @@ impl Prepared {
 
     /// Lays the track out at every node.
     fn move_to(&mut self, nuisance: &Nuisance) {
-        let indicated = &self.places[0];
         let [east, north] = self.cell_m;
-        self.places = nuisance
-            .nodes
-            .iter()
-            .map(|node| {
-                if node.moved_m.is_empty() {
-                    return indicated.clone();
-                }
-                indicated.iter().zip(&node.moved_m).map(|(p, m)| [p[0] + m[0] / east, p[1] + m[1] / north]).collect()
-            })
-            .collect();
+        let laid_out = |node: &Node| {
+            let place = |(k, p): (usize, &[f64; 2])| {
+                let moved = node.moved_m.get(k).unwrap_or(&[0.0; 2]);
+                Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north])
+            };
+            self.indicated.iter().enumerate().map(place).collect()
+        };
+        self.places = nuisance.nodes.iter().map(laid_out).collect();
     }
 
     /// Map units to cells of this channel's map.
