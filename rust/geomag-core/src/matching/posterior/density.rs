@@ -110,7 +110,11 @@ impl Problem<'_> {
                 best[v] = b.log_likelihood[v].iter().copied().fold(best[v], f64::max);
             }
         }
-        let log_sum = |v: usize, temper: f64| {
+        let mut known = [(f64::NAN, 0.0); LEVELS];
+        let mut log_sum = |v: usize, temper: f64| {
+            if known[v].0 == temper {
+                return known[v].1;
+            }
             let mut sum = 0.0;
             for b in blocks {
                 for log in b.log_likelihood[v] {
@@ -120,9 +124,10 @@ impl Problem<'_> {
                     }
                 }
             }
-            temper * best[v] + sum.ln()
+            known[v] = (temper, temper * best[v] + sum.ln());
+            known[v].1
         };
-        let weights = law.weights(noise, levels.clone(), log_sum);
+        let weights = law.weights(noise, levels.clone(), &mut log_sum);
         let mut normalise = [0.0; LEVELS];
         for v in levels.clone() {
             normalise[v] = log_sum(v, law.temper[v]);
@@ -177,7 +182,12 @@ impl Posterior {
 impl Law {
     /// Logarithms of the levels' weights, the largest 0: evidence of each level against its neighbour, both at the smaller
     /// of their tempers, so that a hypothesis is not favoured for the logarithm of its units.
-    pub fn weights(&self, noise: &Noise, levels: Range<usize>, evidence: impl Fn(usize, f64) -> f64) -> [f64; LEVELS] {
+    pub fn weights(
+        &self,
+        noise: &Noise,
+        levels: Range<usize>,
+        mut evidence: impl FnMut(usize, f64) -> f64,
+    ) -> [f64; LEVELS] {
         let mut weights = [f64::NEG_INFINITY; LEVELS];
         weights[levels.start] = noise.levels[levels.start].log_prior;
         for v in levels.start + 1..levels.end {

@@ -580,6 +580,27 @@ pub(super) struct Detail {
 
 /// Looks closely at one candidate (cells of the map) under one error level.
 pub(super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
+    pulp::Arch::new().dispatch(Single { setup, offset, level, scratch })
+}
+
+struct Single<'a, 'b> {
+    setup: &'a Setup<'b>,
+    offset: [f64; 2],
+    level: Level,
+    scratch: &'a mut Scratch,
+}
+
+impl pulp::WithSimd for Single<'_, '_> {
+    type Output = Detail;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) -> Detail {
+        look_closely(self.setup, self.offset, self.level, self.scratch)
+    }
+}
+
+#[inline(always)]
+fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
     fill::<false, false>(setup, &[offset], scratch);
     weigh(scratch, (level.factor * level.factor) as f32);
     let with_bias = usize::from(setup.bias_sigma.is_some());

@@ -185,6 +185,7 @@ impl Problem<'_> {
         };
         let all = self.whole();
         let mut starts = STARTS;
+        let mut spread_m = f64::INFINITY;
         let first = rank(bounds, offsets, starts);
         if first.is_empty() {
             return None;
@@ -203,9 +204,13 @@ impl Problem<'_> {
                 .iter()
                 .map(|scored| std::array::from_fn(|v| scored.blocks[best / LANES].log_likelihood[v][best % LANES]))
                 .collect();
-            let found = self.at_reference(some[best], step, &densities, log_likelihood);
-            if self.resolves(step, found.spread_m) {
-                return Some(found);
+            // The posterior's spread changes little on the way: it is not worth a look before the lattice comes near it.
+            if self.resolves(step, 2.0 * spread_m) {
+                let found = self.at_reference(some[best], step, &densities, log_likelihood);
+                spread_m = found.spread_m;
+                if self.resolves(step, spread_m) {
+                    return Some(found);
+                }
             }
         }
     }
