@@ -220,8 +220,10 @@ fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64;
             row.extra_variance[l] = if known[l] > 0.0 { extra_variance[l] } else { 1.0 };
         }
         if EVEN {
-            row.map_variance = known.map(|on| on * even_variance * unit * unit);
-            row.distance = known.map(|on| on * even_distance);
+            for l in 0..LANES {
+                row.map_variance[l] = known[l] * even_variance * unit * unit;
+                row.distance[l] = known[l] * even_distance;
+            }
         } else {
             let variance = setup.patch.read::<VARIANCE>(&cells, &mut spots).mixed(&spots);
             let distance = setup.patch.read::<DISTANCE>(&cells, &mut spots).mixed(&spots);
@@ -398,6 +400,17 @@ fn one_bias<const BOUND: bool>(
     }
 }
 
+#[inline(always)]
+fn narrow(theta: &[Wide; MOST]) -> [Lane; MOST] {
+    let mut narrowed = [[0.0; LANES]; MOST];
+    for i in 0..MOST {
+        for l in 0..LANES {
+            narrowed[i][l] = theta[i][l] as f32;
+        }
+    }
+    narrowed
+}
+
 /// Derivatives of one sample's residual by the nuisance parameters, bias first where there is one.
 #[inline(always)]
 fn derivatives(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usize, h: &mut [Lane; MOST]) {
@@ -436,7 +449,7 @@ fn nuisances<const BOUND: bool>(
     for (turn, wide) in turns.iter().copied().chain([0.0]).enumerate() {
         let expected = turn == turns.len();
         let last = turn + 2 >= turns.len();
-        let at = theta.map(|t| t.map(|v| v as f32));
+        let at = narrow(theta);
         let mut sums = [[[0.0_f32; LANES]; MOST]; MOST];
         let mut pulls = [[0.0_f32; LANES]; MOST];
         for (k, row) in scratch.rows.iter().enumerate() {
@@ -491,7 +504,7 @@ fn nuisances<const BOUND: bool>(
             }
         }
     }
-    let at = theta.map(|t| t.map(|v| v as f32));
+    let at = narrow(theta);
     let mut product = [1.0_f32; LANES];
     let mut log = [0.0_f64; LANES];
     for (k, row) in scratch.rows.iter().enumerate() {

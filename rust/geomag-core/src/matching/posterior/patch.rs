@@ -68,6 +68,7 @@ pub(super) struct Cells {
 }
 
 impl Cells {
+    #[inline(always)]
     pub fn new(offsets: &[[f64; 2]]) -> Self {
         let mut cells = Self {
             whole: [[0; LANES]; 2],
@@ -115,6 +116,7 @@ pub(super) struct Place {
 }
 
 impl Place {
+    #[inline(always)]
     pub fn new(cells: [f64; 2]) -> Self {
         let whole = cells.map(|c| c.floor().clamp(-1e9, 1e9));
         Self { whole: whole.map(|w| w as i32), part: [0, 1].map(|d| (cells[d] - whole[d]) as f32) }
@@ -181,11 +183,13 @@ impl Corners {
     #[inline(always)]
     pub fn mixed(&self, spots: &Spots) -> [f32; LANES] {
         let [a, b, e, f] = &self.0;
-        std::array::from_fn(|l| {
+        let mut mixed = [0.0; LANES];
+        for l in 0..LANES {
             let low = a[l] + spots.u[l] * (b[l] - a[l]);
             let high = e[l] + spots.u[l] * (f[l] - e[l]);
-            low + spots.v[l] * (high - low)
-        })
+            mixed[l] = low + spots.v[l] * (high - low);
+        }
+        mixed
     }
 }
 
@@ -337,20 +341,16 @@ impl Patch {
         let r = (py.max(0.0) as usize).min(self.rows.saturating_sub(2));
         let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
         let i = r * self.columns + c;
-        let mut mixed = [0.0_f32; 4];
-        let mut slope = [0.0_f32; 2];
-        for (q, plane) in self.planes.iter().enumerate() {
-            let Some([a, b, e, f]) = self.around(plane, i) else {
-                return UNKNOWN;
-            };
+        let Some([a, b, e, f]) = self.around(&self.planes[VALUE], i) else { return UNKNOWN };
+        let mix = |[a, b, e, f]: [f32; 4]| {
             let low = a + u * (b - a);
             let high = e + u * (f - e);
-            mixed[q] = low + v * (high - low);
-            if q == VALUE {
-                slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
-            }
-        }
-        let [value, variance, distance, bend] = mixed;
+            low + v * (high - low)
+        };
+        let of = |quantity: usize| self.around(&self.planes[quantity], i).map_or(0.0, mix);
+        let [variance, distance] = if self.even { self.everywhere() } else { [of(VARIANCE), of(DISTANCE)] };
+        let (value, bend) = (mix([a, b, e, f]), of(BEND));
+        let slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
         Sample { value, variance, distance, gradient: slope, curvature }
     }
@@ -360,7 +360,10 @@ impl Patch {
     pub fn locate(&self, place: Place, cells: &Cells) -> Spots {
         let (column, u, on_columns) = along(place, 0, cells, self.columns);
         let (row, v, on_rows) = along(place, 1, cells, self.rows);
-        let known = std::array::from_fn(|l| on_columns[l].min(on_rows[l]).min(1) as f32);
+        let mut known = [0.0; LANES];
+        for l in 0..LANES {
+            known[l] = on_columns[l].min(on_rows[l]).min(1) as f32;
+        }
         // What holds for both extremes holds for what lies between them.
         let [[left, right], [lower, upper]] = cells.extremes;
         let everywhere = on_columns[left] & on_columns[right] & on_rows[lower] & on_rows[upper] == 2;
