@@ -20,8 +20,8 @@ const DEFAULT_CORRELATION: f64 = 1.75;
 /// Registration error in distances to the data, where not learnt.
 const DEFAULT_REGISTRATION: f64 = 0.15;
 /// Levels of the default map error, and the logarithms of their prior weights: a map with no word about its error may
-/// be a smooth field known exactly or a sparse survey. Exactness must earn its place.
-const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, -4.0), (0.1, -3.5), (0.33, -1.5), (1.0, 0.0), (3.0, -1.0)];
+/// as well be a field known exactly as a sparse survey, and hardly anything between.
+const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, 0.0), (0.1, -2.0), (0.33, -1.0), (1.0, 0.0), (3.0, -1.0)];
 
 /// Largest standard deviation of a drift: half the way round the Earth.
 const MOST_DRIFT_M: f64 = 2e7;
