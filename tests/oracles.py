@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -43,33 +44,63 @@ def shifted(values, x, y, xs, ys, ox, oy):
     return out
 
 
-def posterior(values, x, y, track, sigma, half_width, step, tolerance, *, bias, headings=(0.0,), heading_sigma=1.0):
-    """The exact posterior over one fine lattice of offsets (map in metres): normal errors, the bias unknown without bound or none.
+def posterior(
+    values,
+    x,
+    y,
+    track,
+    sigma,
+    half_width,
+    step,
+    tolerance,
+    *,
+    bias,
+    headings=(0.0,),
+    heading_sigma=1.0,
+    drifts=((0.0, 0.0),),
+    outliers=None,
+):
+    """The exact posterior over one fine lattice of offsets with the whole track on the map (metres): normal errors, the bias unknown
+    without bound or none.
 
-    `headings` (radians, clockwise about the newest sample) are summed over with a normal prior of `heading_sigma`. Returns
-    risk, centre (2,) of the mass within the tolerance, covariance about it, and the likeliest heading there.
+    `headings` (radians, clockwise about the newest sample) are summed over with a normal prior of `heading_sigma`, `drifts`
+    (metres east and north from the first sample to the newest) with equal weights. `outliers`, a share and a size, adds
+    errors of plus or minus that size; without bias only. Returns risk, centre (2,) of the mass within the tolerance, covariance
+    about it, and the likeliest heading there.
     """
     offsets = lattice(half_width, step)
     east, north = np.meshgrid(offsets, offsets)
     away = np.column_stack([track.x - track.x[-1], track.y - track.y[-1]])
     dx, dy = x[1] - x[0], y[1] - y[0]
+    age = np.linspace(1, 0, len(track.x))[:, None]
     logs = []
-    for turn in headings:
+    for turn, drift in itertools.product(headings, drifts):
         c, s = math.cos(turn), math.sin(turn)
         at = np.column_stack(
             [track.x[-1] + c * away[:, 0] + s * away[:, 1], track.y[-1] + c * away[:, 1] - s * away[:, 0]]
         )
+        at += age * np.array(drift)
+        mixed, on_map = np.zeros(east.shape), np.ones(east.shape, dtype=bool)
         total, square = np.zeros(east.shape), np.zeros(east.shape)
         for (px, py), v in zip(at, track.values, strict=True):
             fx, fy = (px + east - x[0]) / dx, (py + north - y[0]) / dy
-            i, j = fx.astype(int), fy.astype(int)
+            on_map &= (fx >= 0) & (fx < len(x) - 1) & (fy >= 0) & (fy < len(y) - 1)
+            i = np.clip(fx.astype(int), 0, len(x) - 2)
+            j = np.clip(fy.astype(int), 0, len(y) - 2)
             u, w = fx - i, fy - j
             low = values[j, i] + u * (values[j, i + 1] - values[j, i])
             high = values[j + 1, i] + u * (values[j + 1, i + 1] - values[j + 1, i])
             error = low + w * (high - low) - v
             total += error
             square += error**2
+            if outliers is not None:
+                share, size = outliers
+                mixed += np.logaddexp(
+                    math.log(1 - share) - 0.5 * (error / sigma) ** 2,
+                    math.log(share / 2) - 0.5 * ((np.abs(error) - size) / sigma) ** 2,
+                )
         log = -0.5 * (square - (total**2 / len(track.x) if bias else 0.0)) / sigma**2
+        log = np.where(on_map, log if outliers is None else mixed, -np.inf)
         logs.append(log - 0.5 * (turn / heading_sigma) ** 2)
     logs = np.array(logs)
     p = np.exp(logs - logs.max()).sum(axis=0)
@@ -82,7 +113,8 @@ def posterior(values, x, y, track, sigma, half_width, step, tolerance, *, bias, 
     risk = 1 - p[np.hypot(east - centre[0], north - centre[1]) <= tolerance].sum()
     e = np.stack([east - centre[0], north - centre[1]])
     at = tuple(int(np.argmin(np.abs(offsets - c))) for c in centre[::-1])
-    return risk, centre, np.einsum("aij,bij,ij->ab", e, e, p), headings[int(np.argmax(logs[:, at[0], at[1]]))]
+    likeliest = headings[int(np.argmax(logs[:, at[0], at[1]])) // len(drifts)]
+    return risk, centre, np.einsum("aij,bij,ij->ab", e, e, p), likeliest
 
 
 def hausdorff(s, a, b, fraction):
