@@ -225,6 +225,12 @@ def test_a_word_on_the_map_lets_the_posterior_fix(files, capsys):
     status, _, said = call(capsys, *match, *common, "--map-sigma", -1)
     assert status == 1
     assert "sigma" in said
+    status, out, _ = call(capsys, *match, *common, "--line-spacing-m", 100)
+    assert status in (0, 3)
+    assert np.trace(json.loads(out)["covariance_m2"]) > np.trace(fix["covariance_m2"])
+    status, _, said = call(capsys, *match, *common, "--line-spacing-m", 100, "--map-sigma", 0)
+    assert status == 1
+    assert "--line-spacing-m: needed without --map-sigma" in said
 
 
 @pytest.mark.parametrize("key", EXPERIMENTS)

@@ -12,7 +12,7 @@ from oracles import posterior
 import geomag
 from geomag._statistics import wilson
 from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability
-from geomag.survey import Lines, learn_errors, line_spacing_m, map_from_lines, read_lines
+from geomag.survey import Lines, learn_errors, line_spacing_m, map_from_lines, read_lines, with_line_spacing
 
 
 def field(x, y):
@@ -353,6 +353,36 @@ def test_lines_become_a_map_that_knows_its_errors():
     assert np.nanmedian(far) > np.nanmedian(near)
     between = np.abs(made.sample([6000.0], [6150.0]) - 3 * field(1.7 * 6000.0, 1.7 * 6150.0))
     assert between[0] < 60
+
+
+def test_the_line_spacing_alone_gives_a_map_its_errors():
+    lines = survey()
+    made = map_from_lines(lines, model=learn_errors(lines, seed=1))
+    values = np.asarray(made.values).copy()
+    values[20:25, 30:40] = np.nan
+    bare = geomag.GridMap(values, made.x, made.y, name="survey", units="nT")
+    rough = with_line_spacing(bare, 300.0)
+    assert (rough.name, rough.units) == ("survey", "nT")
+    assert np.array_equal(np.isnan(rough.values), np.isnan(values))
+    assert rough.error_model["correlation"] == 2.25
+    assert np.nanmax(rough.error_model["distance_m"]) == 75
+    # Where the map is twice as steep or the lines twice as far apart, it is twice as wrong.
+    wider = np.asarray(with_line_spacing(bare, 600.0).sigma) / np.asarray(rough.sigma)
+    assert np.nanmedian(wider) == pytest.approx(2, abs=0.1)
+    steeper = geomag.GridMap(2 * values, made.x, made.y)
+    np.testing.assert_allclose(with_line_spacing(steeper, 300.0).sigma, 2 * np.asarray(rough.sigma), rtol=1e-9)
+    sigma = np.asarray(rough.sigma)
+    far = made.error_model["distance_m"] > 120
+    assert 0.3 < np.nanmedian(sigma[far]) / np.nanmedian(np.asarray(made.sigma)[far]) < 3
+    for spacing in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(geomag.InvalidInputError, match="line_spacing_m"):
+            with_line_spacing(bare, spacing)
+    alone = np.full((4, 4), np.nan)
+    alone[1, 1] = 3.0
+    with pytest.raises(geomag.InvalidInputError, match="neighbouring"):
+        with_line_spacing(geomag.GridMap(alone, made.x[:4], made.y[:4]), 300.0)
+    with pytest.raises(geomag.InvalidInputError, match="3 x 3"):
+        with_line_spacing(geomag.GridMap(values[:2], made.x, made.y[:2]), 300.0)
 
 
 def test_too_few_lines_are_refused():

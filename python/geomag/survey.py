@@ -52,6 +52,13 @@ SHARES = (0.5, 0.7, 1.0)
 #: few hundred windows moves them where it is clear, and only there.
 CORRELATION_PRIOR = (1.1, 0.2)
 SHARE_PRIOR = (0.5, 0.35)
+#: Where the line spacing is all that is known (`with_line_spacing`): mean distance to the data in line spacings; displacement
+#: (b of the formula), correlation length and registration in such distances. The same for every survey; from the two of
+#: docs/calibration-report.md, for grids by linear interpolation, the worse of the common methods.
+SPACING_DISTANCE = 0.25
+SPACING_DISPLACEMENT = 0.75
+SPACING_CORRELATION = 2.25
+SPACING_REGISTRATION = 0.15
 #: Nodes of a map whose spacing is chosen here.
 MOST_NODES = 1_500_000
 #: Learning windows; more cost time and change the numbers by less than their own error.
@@ -553,6 +560,11 @@ def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
     gradient, curvature = _features(values, distance, axes)
     law = _Law(model.noise, 0.5 * model.line_spacing_m, axes.cell)
     sigma = _sigma(gradient, curvature, distance, law, model.floor, model.displacement, model.curvature)
+    return _carrying(grid, values, sigma, distance, model)
+
+
+def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model: ErrorModel) -> GridMap:
+    """`grid` with other values, their sigma and an error model; a node without any of them becomes a hole."""
     known = np.isfinite(values) & np.isfinite(sigma)
     layered = GridMap(
         np.where(known, values, np.nan),
@@ -571,6 +583,48 @@ def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
         registration=model.registration,
         distance_m=np.where(known, distance, np.nan),
     )
+
+
+def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:
+    """Return the map with errors that are typical of a survey with that distance between its lines.
+
+    For a grid whose lines are not at hand: reports state the spacing. Its errors are taken as 0.75 G D at every node, with G the
+    local root mean square gradient and D a quarter of the spacing, correlated over 2.25 D and displaced by 0.15 D: rougher than
+    what `map_from_lines` learns, which knows where the lines ran. Raises `InvalidInputError` for a spacing that is not a
+    number above zero, for a map of fewer than 3 x 3 nodes and for one without neighbouring values. Source: geomag's own, see docs/calibration-report.md.
+
+    Examples
+    --------
+    >>> import numpy as np, geomag
+    >>> from geomag.survey import with_line_spacing
+    >>> axis = np.arange(0.0, 5000.0, 50.0)
+    >>> grid = geomag.GridMap(np.sin(axis / 300) * 80 + np.cos(axis[:, None] / 400) * 60, axis, axis)
+    >>> grid = with_line_spacing(grid, 200.0)
+    >>> bool(np.nanmax(grid.sigma) < 15)
+    True
+    """
+    if not (np.isfinite(line_spacing_m) and line_spacing_m > 0):
+        raise InvalidInputError(f"line_spacing_m: needed a number > 0, got {line_spacing_m}")
+    values = np.asarray(grid.values, dtype=float)
+    if min(values.shape) < 3:
+        raise InvalidInputError(f"map: needed at least 3 x 3 nodes, got {values.shape[0]} x {values.shape[1]}")
+    if not np.any(np.isfinite(np.add(*np.gradient(values)))):
+        raise InvalidInputError("map: needed neighbouring nodes with values, to take a gradient from, got none")
+    distance_m = SPACING_DISTANCE * float(line_spacing_m)
+    distance = np.where(np.isfinite(values), distance_m, np.nan)
+    gradient, _ = _features(values, distance, _Axes.of(grid))
+    model = ErrorModel(
+        noise=0.0,
+        floor=0.0,
+        displacement=SPACING_DISPLACEMENT,
+        curvature=0.0,
+        correlation=SPACING_CORRELATION,
+        registration=SPACING_REGISTRATION,
+        line_spacing_m=float(line_spacing_m),
+        windows=0,
+        loss=float("nan"),
+    )
+    return _carrying(grid, values, model.displacement * gradient * distance, distance, model)
 
 
 def map_from_lines(

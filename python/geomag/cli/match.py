@@ -15,6 +15,7 @@ from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid,
 from geomag.cli import NO_FIX, app
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
+from geomag.survey import with_line_spacing
 
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
@@ -75,6 +76,13 @@ def match(
             "costs fixes."
         ),
     ] = None,
+    line_spacing_m: Annotated[
+        float | None,
+        typer.Option(
+            help="Posterior: distance between the lines of the survey behind the map, instead of --map-sigma: the map's error is "
+            "taken as typical of such a survey."
+        ),
+    ] = None,
     max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
         float,
@@ -103,6 +111,10 @@ def match(
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
     grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
+    if line_spacing_m is not None:
+        if map_sigma is not None:
+            raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
+        grid = with_line_spacing(grid, line_spacing_m)
     samples = load_track(track, grid, x, y, value, drop_missing)
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     fix, steps = solve(
