@@ -80,9 +80,25 @@ impl Cells {
         };
         for lane in 0..LANES {
             let Some(offset) = offsets.get(lane.min(offsets.len().wrapping_sub(1))) else { break };
-            let Place { whole, part } = Place::new(*offset);
+            let mut place = Place::new(*offset);
+            if lane < offsets.len() {
+                cells.used[lane] = 1.0;
+            }
+            if lane > 0 && lane < offsets.len() {
+                let before = offsets[lane - 1];
+                if offset[1] == before[1] && (offset[0] - before[0] - 1.0).abs() < 1e-9 {
+                    // To the bit, so that no rounding puts one of them into another cell than its row says.
+                    place.part = cells.part.map(|part| part[lane - 1]);
+                    place.whole = [cells.whole[0][lane - 1] + 1, cells.whole[1][lane - 1]];
+                } else {
+                    if cells.runs < RUNS {
+                        cells.starts[cells.runs] = lane;
+                    }
+                    cells.runs += 1;
+                }
+            }
             for d in 0..2 {
-                (cells.whole[d][lane], cells.part[d][lane]) = (whole[d], part[d]);
+                (cells.whole[d][lane], cells.part[d][lane]) = (place.whole[d], place.part[d]);
                 let at = |lane: usize| (cells.whole[d][lane], cells.part[d][lane]);
                 let [least, greatest] = cells.extremes[d];
                 if at(lane) < at(least) {
@@ -90,18 +106,6 @@ impl Cells {
                 } else if at(lane) > at(greatest) {
                     cells.extremes[d][1] = lane;
                 }
-            }
-            if lane < offsets.len() {
-                cells.used[lane] = 1.0;
-            }
-        }
-        for lane in 1..offsets.len() {
-            let (a, b) = (offsets[lane - 1], offsets[lane]);
-            if !(a[1] == b[1] && (b[0] - a[0] - 1.0).abs() < 1e-9) {
-                if cells.runs < RUNS {
-                    cells.starts[cells.runs] = lane;
-                }
-                cells.runs += 1;
             }
         }
         cells
@@ -138,7 +142,7 @@ fn along(place: Place, d: usize, cells: &Cells, size: usize) -> ([i32; LANES], [
         let before = (cell == -1) & (sum >= 1.0 - PART_TOLERANCE);
         let after = (cell == last) & (sum <= PART_TOLERANCE);
         let between_nodes = (cell >= 0) & (cell < last);
-        let inside = between_nodes | before | after;
+        let inside = (between_nodes | before | after) & (last > 0);
         let sum = if before { 0.0 } else { sum };
         between[l] = if after { 1.0 } else { sum };
         at[l] = cell.min(last - 1).max(0);
@@ -535,6 +539,19 @@ mod tests {
                     read_as_one_by_one(&patch, [place[0] + 0.37, place[1] - 0.81], offsets);
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_row_stays_a_row_where_its_cells_begin() {
+        let patch = patch(false);
+        for a in [0.5_f32, 0.6, 0.7, 0.83, 0.999] {
+            // Offsets whose parts differ by 1e-9 and round to neighbours, of which one reaches the next cell.
+            let next = f32::from_bits(a.to_bits() + 1);
+            let middle = 0.5 * (f64::from(a) + f64::from(next));
+            let noise = |k: u32| if k % 2 == 0 { -4e-10 } else { 4e-10 };
+            let offsets: Vec<[f64; 2]> = (0..12).map(|k| [middle + f64::from(k) + noise(k), 0.25]).collect();
+            read_as_one_by_one(&patch, [4.0 - f64::from(next), 3.5], &offsets);
         }
     }
 
