@@ -549,7 +549,7 @@ mod tests {
             // Offsets whose parts differ by 1e-9 and round to neighbours, of which one reaches the next cell.
             let next = f32::from_bits(a.to_bits() + 1);
             let middle = 0.5 * (f64::from(a) + f64::from(next));
-            let noise = |k: u32| if k % 2 == 0 { -4e-10 } else { 4e-10 };
+            let noise = |k: u32| 8e-10 * f64::from(k % 2) - 4e-10;
             let offsets: Vec<[f64; 2]> = (0..12).map(|k| [middle + f64::from(k) + noise(k), 0.25]).collect();
             read_as_one_by_one(&patch, [4.0 - f64::from(next), 3.5], &offsets);
         }
