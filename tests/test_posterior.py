@@ -280,8 +280,9 @@ def test_prediction_and_bound_on_the_emm_map(emm):
         ({"outlier_share": 0.05, "outlier": 50.0}, {}),
         ({"heading_deg": 1.0}, {}),
         ({"drift_m": 50.0}, {}),
+        ({"drift_m": 50.0}, {"drift_sigma_m": 50.0 / np.sqrt(2)}),
     ],
-    ids=["plain", "bias", "outliers", "heading", "drift"],
+    ids=["plain", "bias", "outliers", "heading", "drift told as a bound", "drift told as a mean"],
 )
 def test_declared_risk_holds_in_simulation(grid, extra, told):
     result = calibrate_simulated(

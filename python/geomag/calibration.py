@@ -312,8 +312,11 @@ def calibrate_simulated(
 
     Straight tracks at random places and headings, 1 to 3 cells a sample; normal noise of `sigma`; a bias uniform in
     +-`bias`; a share of outliers of +-`outlier`; a normal heading error; a drift of `drift_m` in a random direction over
-    the sequence. Heading and drift are told to the matcher by their size, as an INS specification would.
+    the sequence. Heading and drift are told to the matcher as an INS specification would: `heading_deg` as a standard
+    deviation, `drift_m` as a bound, which every flight reaches; a drift anywhere within it has a standard deviation of half
+    of it per axis. `heading_sigma_deg` and `drift_sigma_m` tell it something else.
     """
+    options = {"heading_sigma_deg": heading_deg, "drift_sigma_m": 0.5 * drift_m} | options
     rng = np.random.default_rng(seed)
     tracks: list[Track] = []
     truth: list[Any] = []
@@ -363,8 +366,6 @@ def calibrate_simulated(
         tolerance_m=tolerance_m,
         max_risk=max_risk,
         sigma=sigma,
-        heading_sigma_deg=heading_deg,
-        drift_sigma_m=drift_m / np.sqrt(2),
         streaming=streaming,
         **options,
     )

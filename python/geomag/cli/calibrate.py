@@ -32,7 +32,7 @@ def calibrate(
     outlier_share: Annotated[float, typer.Option(help="Share of simulated readings that are outliers.")] = 0.0,
     outlier: Annotated[float, typer.Option(help="Size of the outliers, map units.")] = 0.0,
     heading_deg: Annotated[float, typer.Option(help="Simulated heading error, one standard deviation.")] = 0.0,
-    drift_m: Annotated[float, typer.Option(help="Simulated drift over the track, m.")] = 0.0,
+    drift_m: Annotated[float, typer.Option(help="Simulated drift over the track, told as a bound, m.")] = 0.0,
     streaming: Annotated[bool, typer.Option(help="Stop every simulated track at its first fix.")] = False,
     trials: Annotated[int, typer.Option(help="Most tracks.")] = 2000,
     overlap: Annotated[float, typer.Option(help="Share of a window that the next one has too (lines only).")] = 0.0,
