@@ -30,7 +30,7 @@ pub(super) struct Closer {
     pub bias: f64,
     pub heading_deg: f64,
     pub scale: f64,
-    /// See [`kernel::Detail`].
+    /// See [`kernel::detail`].
     pub misfit: f64,
     pub known: usize,
     /// Degrees of freedom under which it was looked at.
@@ -298,7 +298,7 @@ impl<'a> Problem<'a> {
         (1..nodes).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
     }
 
-    /// Information on the offset at one place under every level, nuisance parameters out: see [`kernel::Detail`].
+    /// Information on the offset at one place under every level, nuisance parameters out: see [`kernel::detail`].
     pub fn information(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> Vec<[f64; 3]> {
         let mut scratch = Scratch::default();
         (channel.noise.levels.iter().enumerate())
