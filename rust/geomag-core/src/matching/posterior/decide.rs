@@ -112,10 +112,6 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     let risk = (1.0 - inside).clamp(0.0, 1.0);
     let offset = [centre[0] / scale[0], centre[1] / scale[1]];
     let detail = problem.detail(offset, posterior.step);
-    // Under the model the mean of (nu + 1) z^2 / (nu + z^2) is 1 and its variance 2 nu / (nu + 3) a sample.
-    let deviation =
-        (2.0 * detail.nu / ((detail.nu + 3.0) * detail.known.max(1) as f64)).sqrt() * problem.misfit_inflation();
-    let goodness = normal_tail((detail.misfit - 1.0) / deviation);
     let runner_up = posterior
         .offsets
         .iter()
@@ -126,7 +122,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         })
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
-    let status = status(problem, posterior, lattice, &p, offset, risk, goodness, runner_up, second);
+    let status = status(problem, posterior, lattice, &p, offset, risk, detail.goodness, runner_up, second);
     // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
     let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
     let covariance = [
@@ -136,7 +132,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     Fix {
         covariance_m2: Some(covariance),
         risk: Some(risk),
-        goodness: Some(goodness),
+        goodness: Some(detail.goodness),
         bias: Some(detail.bias),
         heading_deg: detail.heading_deg,
         scale: detail.scale,

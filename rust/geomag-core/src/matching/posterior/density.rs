@@ -75,15 +75,7 @@ impl Problem<'_> {
         map_variance /= count.max(1.0);
         let mut law = Law { distance, known: count > 0.0, temper: [1.0; LEVELS], share: [0.0; LEVELS] };
         for (v, level) in noise.levels.iter().enumerate() {
-            // Effective share of independent samples in errors that decorrelate over a length l: those of an AR(1) series
-            // with coefficient exp(-spacing / l) count as (1 - rho) / (1 + rho) = tanh(spacing / 2 l).
-            let length =
-                noise.correlation * distance * if noise.levels_are_distances { level.factor.min(1.0) } else { 1.0 };
-            let independent = if length > 0.0 { (0.5 * self.spacing_m / length).tanh().max(1e-3) } else { 1.0 };
-            let variance = level.factor * level.factor * map_variance;
-            let share = variance / (variance + channel.sensor_variance());
-            law.share[v] = share;
-            law.temper[v] = 1.0 / ((1.0 - share) + share / independent);
+            (law.share[v], law.temper[v]) = channel.temper(level, distance, map_variance, self.spacing_m);
         }
         law
     }

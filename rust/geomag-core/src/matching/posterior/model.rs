@@ -224,6 +224,12 @@ impl Noise {
 }
 
 impl Noise {
+    /// The level at which the map may be at its worst.
+    pub fn kindest(&self) -> usize {
+        let worse = |a: usize, b: usize| if self.levels[b].factor > self.levels[a].factor { b } else { a };
+        (0..self.levels.len()).fold(0, worse)
+    }
+
     /// Displacement of features common to a whole track, per axis, metres.
     pub fn displacement(&self, distance: f64, level: &Level) -> f64 {
         self.registration * distance * if self.levels_are_distances { level.factor.min(1.0) } else { 1.0 }

@@ -1,6 +1,7 @@
 //! The part of a map that a search can touch, laid out for the kernel: value, error variance and distance to data.
 
 use super::kernel::LANES;
+use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::MapSigma;
 use crate::map_error::DistanceLayer;
@@ -199,17 +200,26 @@ impl Corners {
 
 impl Patch {
     /// The window of `field` that covers the box from `low` to `high` (map units, on the map's own turn of longitude).
-    pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2]) -> Self {
+    ///
+    /// # Errors
+    /// [`Error::TooManyCandidates`] for a field without a grid that would have to be evaluated at more than `most` nodes.
+    pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2], most: u64) -> Result<Self> {
         let step = field.spacing();
         let grid = field.as_grid();
         let origin = grid.map_or(low, |g| [g.x().first(), g.y().first()]);
-        let limits = grid.map_or([i64::MAX / 4; 2], |g| [g.x().len() as i64 - 1, g.y().len() as i64 - 1]);
+        let far = i64::MAX / 4;
+        let limits = grid.map_or([far; 2], |g| [g.x().len() as i64 - 1, g.y().len() as i64 - 1]);
         let (mut first, mut last) = ([0_i64; 2], [0_i64; 2]);
         for d in 0..2 {
             let margin = SMOOTHING_CELLS as i64 + 1;
-            let least = if grid.is_some() { 0 } else { i64::MIN / 4 };
-            first[d] = (((low[d] - origin[d]) / step[d]).floor() as i64 - margin).clamp(least, limits[d]);
-            last[d] = (((high[d] - origin[d]) / step[d]).ceil() as i64 + margin).clamp(first[d], limits[d]);
+            let least = if grid.is_some() { 0 } else { -far };
+            let cells = |v: f64| ((v - origin[d]) / step[d]).clamp(-far as f64, far as f64);
+            first[d] = (cells(low[d]).floor() as i64 - margin).clamp(least, limits[d]);
+            last[d] = (cells(high[d]).ceil() as i64 + margin).clamp(first[d], limits[d]);
+        }
+        let needed = [0, 1].map(|d| (last[d] - first[d] + 1) as u128).iter().product();
+        if grid.is_none() && needed > u128::from(most) {
+            return Err(Error::TooManyCandidates { what: "window of the field".into(), needed, limit: most });
         }
         let (columns, rows) = ((last[0] - first[0] + 1) as usize, (last[1] - first[1] + 1) as usize);
         let middle = 0.5 * (low[1] + high[1]);
@@ -252,7 +262,7 @@ impl Patch {
             patch.fill_default_variance([step[0] * east / cell_m, step[1] * north / cell_m]);
         }
         patch.even = [VARIANCE, DISTANCE].iter().all(|&q| patch.planes[q].iter().all(|v| *v == patch.planes[q][0]));
-        patch
+        Ok(patch)
     }
 
     /// Root mean square of the largest second difference at a node, value units.
@@ -488,7 +498,7 @@ mod tests {
         } else {
             MapSigma::Constant(2.0)
         };
-        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0])
+        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0], 0).unwrap()
     }
 
     fn read_as_one_by_one(patch: &Patch, place: [f64; 2], offsets: &[[f64; 2]]) {

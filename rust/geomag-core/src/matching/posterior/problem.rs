@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::decide::normal_tail;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, LEVELS, Noise, PosteriorOptions};
+use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions};
 use super::nuisance::{Node, Nuisance, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
@@ -30,11 +31,8 @@ pub(super) struct Closer {
     pub bias: f64,
     pub heading_deg: f64,
     pub scale: f64,
-    /// See [`kernel::detail`].
-    pub misfit: f64,
-    pub known: usize,
-    /// Degrees of freedom under which it was looked at.
-    pub nu: f64,
+    /// p-value of the residuals: see [`Problem::goodness`].
+    pub goodness: f64,
 }
 
 /// A problem made ready: everything that does not depend on the candidate.
@@ -42,7 +40,7 @@ pub(super) struct Problem<'a> {
     pub options: &'a PosteriorOptions,
     pub field: &'a dyn Field,
     pub channels: Vec<Prepared>,
-    positions: Vec<[f64; 2]>,
+    samples: usize,
     nuisance: Nuisance,
     /// Metres per map unit.
     pub scale_m: [f64; 2],
@@ -91,6 +89,18 @@ const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
 /// Samples times candidates times levels below which one thread is faster than several.
 const PARALLEL: usize = 16_000;
 
+/// The box around these places with that much room on every side: its low and its high corner.
+fn around(places: &[[f64; 2]], room: [f64; 2]) -> ([f64; 2], [f64; 2]) {
+    let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+    for p in places {
+        for d in 0..2 {
+            low[d] = low[d].min(p[d] - room[d]);
+            high[d] = high[d].max(p[d] + room[d]);
+        }
+    }
+    (low, high)
+}
+
 impl<'a> Problem<'a> {
     /// Checks the input and lays out the maps.
     pub fn new(channels: &[Channel<'a>], track: &Track, options: &'a PosteriorOptions) -> Result<Self> {
@@ -131,15 +141,7 @@ impl<'a> Problem<'a> {
         let mut nuisance = Nuisance::new(options, &away, &age);
         let lever_m = away.iter().map(|[e, n]| e.hypot(*n)).fold(0.0, f64::max);
         let reach_m = reach_m(options, lever_m);
-        let mut low = [f64::INFINITY; 2];
-        let mut high = [f64::NEG_INFINITY; 2];
-        for p in &positions {
-            for d in 0..2 {
-                let reach = options.half_width[d] + reach_m / scale_m[d];
-                low[d] = low[d].min(p[d] - reach);
-                high[d] = high[d].max(p[d] + reach);
-            }
-        }
+        let reach = [0, 1].map(|d| options.half_width[d] + reach_m / scale_m[d]);
         let mut prepared = Vec::with_capacity(channels.len());
         for (index, channel) in channels.iter().enumerate() {
             if channel.values.len() != n {
@@ -157,9 +159,14 @@ impl<'a> Problem<'a> {
                     if channel.field.geographic() { "degrees" } else { "metres" },
                 ));
             }
+            // Every map may be on a turn of longitude of its own.
+            let positions: Vec<[f64; 2]> = (0..n).map(|k| [channel.field.wrap_x(track.x()[k]), track.y()[k]]).collect();
             let patch = match laid_out {
                 Some(patch) if index == 0 => Arc::clone(patch),
-                _ => Arc::new(Patch::new(channel.field, low, high)),
+                _ => {
+                    let (low, high) = around(&positions, reach);
+                    Arc::new(Patch::new(channel.field, low, high, options.max_candidates)?)
+                }
             };
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
             let noise = Noise::new(channel, options)?;
@@ -181,7 +188,7 @@ impl<'a> Problem<'a> {
             }
         }
         let tolerance_m = options.tolerance_m.unwrap_or_else(|| (cell[0] * scale_m[0]).max(cell[1] * scale_m[1]));
-        Ok(Self { options, field, channels: prepared, positions, nuisance, scale_m, cell, tolerance_m, spacing_m })
+        Ok(Self { options, field, channels: prepared, samples: n, nuisance, scale_m, cell, tolerance_m, spacing_m })
     }
 
     pub fn setup<'b>(&'b self, channel: &'b Prepared, node: usize, step: [f64; 2]) -> Setup<'b> {
@@ -236,7 +243,7 @@ impl<'a> Problem<'a> {
             let one = |scratch: &mut Scratch, block: &[[f64; 2]]| {
                 self.score_block::<BOUND>(channel, scope, step, block, scratch)
             };
-            let work = offsets.len() * self.positions.len() * scope.levels.len() * scope.nodes.len();
+            let work = offsets.len() * self.samples * scope.levels.len() * scope.nodes.len();
             let (blocks, nodes): (Vec<Scores>, Vec<Vec<[f64; LEVELS]>>) = if work < PARALLEL {
                 let mut scratch = Scratch::default();
                 cells.chunks(LANES).map(|block| one(&mut scratch, block)).unzip()
@@ -309,24 +316,42 @@ impl<'a> Problem<'a> {
             .collect()
     }
 
-    /// A close look at one offset by the first channel.
+    /// A close look at one offset: the parameters by the first channel, the residuals of all.
     pub fn detail(&self, offset: [f64; 2], step: [f64; 2]) -> Closer {
         let channel = &self.channels[0];
         let levels = &channel.noise.levels;
         // That of a spread of levels which is typical, or the worst that an unknown map may be.
         let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { channel.noise.typical };
-        let node = self.best_node(channel, offset, index, step);
-        let setup = self.setup(channel, node, step);
-        let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut Scratch::default());
+        let (node, detail) = self.look(channel, offset, index, step);
         let (heading_deg, scale) = self.nuisance.heading_and_scale(&self.nuisance.nodes[node], &detail.theta);
-        Closer {
-            bias: detail.bias * channel.unit,
-            heading_deg,
-            scale,
-            misfit: detail.misfit,
-            known: detail.known,
-            nu: levels[index].nu,
-        }
+        // Of several channels the worst, times their number: the chance that any of them is as bad (Bonferroni).
+        let worst = self.channels.iter().map(|c| self.goodness(c, offset, step)).fold(1.0, f64::min);
+        let goodness = (worst * self.channels.len() as f64).min(1.0);
+        Closer { bias: detail.bias * channel.unit, heading_deg, scale, goodness }
+    }
+
+    /// One offset under one level, at the node of the nuisance parameters where it is likeliest.
+    fn look(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> (usize, kernel::Detail) {
+        let node = self.best_node(channel, offset, level, step);
+        let setup = self.setup(channel, node, step);
+        let level = channel.noise.levels[level];
+        (node, kernel::detail(&setup, channel.cells(offset), level, &mut Scratch::default()))
+    }
+
+    /// p-value of one channel's residuals at an offset, at the kindest of its error levels, so that a track on which the
+    /// map is at its worst is not refused for that.
+    ///
+    /// Under the model the mean of (nu + 1) z^2 / (nu + z^2) is 1 and its variance 2 nu / (nu + 3) a sample; correlated
+    /// samples count as fewer.
+    fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
+        let index = channel.noise.kindest();
+        let (_, detail) = self.look(channel, offset, index, step);
+        let level = channel.noise.levels[index];
+        let (map_sigma, distance) = self.along(channel);
+        let map_variance = channel.mean_variance(&map_sigma);
+        let (_, temper) = channel.temper(&level, distance, map_variance, self.spacing_m);
+        let effective = (detail.known as f64 * temper).max(1.0);
+        normal_tail((detail.misfit - 1.0) / (2.0 * level.nu / ((level.nu + 3.0) * effective)).sqrt())
     }
 
     /// What is to be expected at the track's own positions: offset zero, no noise in the values.
@@ -341,12 +366,9 @@ impl<'a> Problem<'a> {
         let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
         let (map_sigma, distance) = self.along(channel);
         let scaled: Vec<f64> = map_sigma.iter().map(|s| level.factor * s).collect();
-        let variance = scaled.iter().map(|s| s * s).sum::<f64>() / scaled.len().max(1) as f64;
-        let share = variance / (variance + noise.sensor_variance);
-        let length = noise.correlation * distance;
+        let (share, temper) = channel.temper(&level, distance, channel.mean_variance(&map_sigma), self.spacing_m);
+        let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };
-        let independent = (1.0 - coefficient) / (1.0 + coefficient);
-        let temper = 1.0 / ((1.0 - share) + share / independent.max(1e-3));
         let half = self.options.half_width;
         let prior = [0, 1].map(|d| 3.0 / (half[d] * self.scale_m[d]).powi(2));
         let invert = |factor: f64| {
@@ -376,10 +398,9 @@ impl<'a> Problem<'a> {
 
     /// Map sigma at every indicated position, and the mean distance to the data.
     fn along(&self, channel: &Prepared) -> (Vec<f64>, f64) {
-        let (mut sigma, mut distance, mut known) = (Vec::with_capacity(self.positions.len()), 0.0, 0.0);
-        for p in &self.positions {
-            let [px, py] = channel.patch.position(p[0], p[1]);
-            let sample = channel.patch.at(px, py);
+        let (mut sigma, mut distance, mut known) = (Vec::with_capacity(self.samples), 0.0, 0.0);
+        for [px, py] in &channel.indicated {
+            let sample = channel.patch.at(*px, *py);
             let here = sample.value.is_finite();
             sigma.push(if here { f64::from(sample.variance).sqrt() } else { 0.0 });
             if here {
@@ -389,16 +410,32 @@ impl<'a> Problem<'a> {
         }
         (sigma, if known > 0.0 { distance / known } else { 0.0 })
     }
-
-    /// Factor by which correlation widens the law of the mean misfit.
-    pub fn misfit_inflation(&self) -> f64 {
-        let channel = &self.channels[0];
-        let spread = channel.noise.levels.iter().map(|l| l.factor).fold(0.0, f64::max).max(1.0);
-        spread * 3.0
-    }
 }
 
 impl Prepared {
+    /// Mean square of standard deviations in value units, kernel units squared.
+    fn mean_variance(&self, sigma: &[f64]) -> f64 {
+        sigma.iter().map(|s| (s / self.unit).powi(2)).sum::<f64>() / sigma.len().max(1) as f64
+    }
+
+    /// Length over which the map's errors decorrelate under a level, for a mean distance to the data, metres.
+    fn correlation_m(&self, level: &Level, distance: f64) -> f64 {
+        self.noise.correlation * distance * if self.noise.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
+    }
+
+    /// Share of the map in the error variance under a level, and the power to which the likelihood is taken, for a mean
+    /// distance to the data in metres and a mean variance of the map (at factor 1; kernel units squared).
+    ///
+    /// Errors that decorrelate over a length l are those of an AR(1) series with coefficient exp(-spacing / l), of whose samples
+    /// a share (1 - rho) / (1 + rho) = tanh(spacing / 2 l) is independent.
+    pub fn temper(&self, level: &Level, distance: f64, map_variance: f64, spacing_m: f64) -> (f64, f64) {
+        let length = self.correlation_m(level, distance);
+        let independent = if length > 0.0 { (0.5 * spacing_m / length).tanh().max(1e-3) } else { 1.0 };
+        let variance = level.factor * level.factor * map_variance;
+        let share = variance / (variance + self.sensor_variance());
+        (share, 1.0 / ((1.0 - share) + share / independent))
+    }
+
     /// Displacement up to which the map is linear for what this channel can tell, metres.
     fn linear_m(&self) -> f64 {
         let cells = (2.0 * LINEAR * self.unit / self.patch.typical_bend().max(f64::MIN_POSITIVE)).sqrt();

@@ -71,6 +71,8 @@ struct State {
     next: usize,
     status: Status,
     risk: f64,
+    /// The box of the map that is laid out, x from and to, y from and to: what is linear depends on it.
+    window: Option<[f64; 4]>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -136,7 +138,8 @@ impl Candidate {
 pub struct PosteriorMatcher {
     field: Arc<dyn Field>,
     state: State,
-    patch: Option<([f64; 4], Arc<Patch>)>,
+    /// The map over the state's window.
+    patch: Option<Arc<Patch>>,
 }
 
 impl PosteriorMatcher {
@@ -170,6 +173,7 @@ impl PosteriorMatcher {
             next: FEWEST,
             status: Status::Searching,
             risk: 1.0,
+            window: None,
         };
         Ok(Self { field, state, patch: None })
     }
@@ -235,7 +239,7 @@ impl PosteriorMatcher {
             return Ok((Fix::none(Status::Lost, s.x.len()), None));
         }
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
-        let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref().map(|(_, patch)| patch))?;
+        let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref())?;
         let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
         let (posterior, kept) = problem.solve_going_on(offsets, s.lattice.step, coarse);
         Ok((decide::answer(&problem, &track, &posterior, &s.lattice), kept))
@@ -276,9 +280,42 @@ impl PosteriorMatcher {
     /// A matcher on `field` that goes on where [`PosteriorMatcher::save`] left.
     ///
     /// # Errors
-    /// [`Error::State`] for bytes that are not such a state.
+    /// [`Error::State`] for bytes that are not such a state, or one that this map and these options cannot have; those of
+    /// [`PosteriorMatcher::new`].
     pub fn load(field: Arc<dyn Field>, bytes: &[u8]) -> Result<Self> {
-        Ok(Self { field, state: state::load(NAME, bytes)?, patch: None })
+        let saved: State = state::load(NAME, bytes)?;
+        let mut matcher = Self::new(field, saved.sigma, saved.options.clone(), saved.max_samples)?;
+        let refuse = |detail: &str| Err(Error::State { what: NAME.into(), detail: detail.into() });
+        let lattice = matcher.state.lattice;
+        if saved.lattice != lattice {
+            return refuse("its lattice is not that of this map");
+        }
+        let on_lattice = |c: &Candidate| {
+            let node = lattice.node(c.offset);
+            (0..2).all(|d| node[d].abs() <= lattice.most[d]) && lattice.offset(node) == c.offset
+        };
+        if !saved.candidates.iter().all(on_lattice) {
+            return refuse("a candidate lies outside the lattice of this map");
+        }
+        let n = saved.x.len();
+        let numbers = [&saved.x, &saved.y, &saved.values];
+        if numbers.iter().any(|a| a.len() != n || require_finite("samples", a).is_err()) || n > saved.max_samples {
+            return refuse("its samples are not finite, or not as many x as y as values");
+        }
+        if n > saved.seen || !saved.moved_m.is_finite() {
+            return refuse("its counts do not fit its samples");
+        }
+        matcher.state = saved;
+        matcher.lay_out()?;
+        Ok(matcher)
+    }
+
+    /// Lays out the map over the state's window.
+    fn lay_out(&mut self) -> Result<()> {
+        let Some(b) = self.state.window else { return Ok(()) };
+        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], self.state.options.max_candidates)?;
+        self.patch = Some(Arc::new(patch));
+        Ok(())
     }
 
     fn track(&self) -> Result<Track> {
@@ -305,10 +342,10 @@ impl PosteriorMatcher {
     }
 
     /// The window of the map that the samples held can touch, laid out anew only when the track has left it.
-    fn window(&mut self) {
+    fn window(&mut self) -> Result<()> {
         let s = &self.state;
         let half = s.options.half_width;
-        let (Some(&newest_x), Some(&newest_y)) = (s.x.last(), s.y.last()) else { return };
+        let (Some(&newest_x), Some(&newest_y)) = (s.x.last(), s.y.last()) else { return Ok(()) };
         let newest = [newest_x, newest_y];
         let from_newest = |(x, y): (&f64, &f64)| {
             let [east, north] = displacement_m(self.field.geographic(), newest, [*x, *y]);
@@ -326,24 +363,24 @@ impl PosteriorMatcher {
             needed[2] = needed[2].min(y - reach[1]);
             needed[3] = needed[3].max(y + reach[1]);
         }
-        let inside = self
-            .patch
-            .as_ref()
-            .is_some_and(|(b, _)| needed[0] >= b[0] && needed[1] <= b[1] && needed[2] >= b[2] && needed[3] <= b[3]);
+        let inside =
+            s.window.is_some_and(|b| needed[0] >= b[0] && needed[1] <= b[1] && needed[2] >= b[2] && needed[3] <= b[3]);
         if !inside {
             // Room to go on for as long as the search is wide, and half the track again.
             let room = [half[0] + 0.25 * (needed[1] - needed[0]), half[1] + 0.25 * (needed[3] - needed[2])];
-            let b = [needed[0] - room[0], needed[1] + room[0], needed[2] - room[1], needed[3] + room[1]];
-            self.patch = Some((b, Arc::new(Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]]))));
+            self.state.window =
+                Some([needed[0] - room[0], needed[1] + room[0], needed[2] - room[1], needed[3] + room[1]]);
+            self.lay_out()?;
         }
+        Ok(())
     }
 
     fn gate(&mut self, x: f64, y: f64, value: f64) -> Result<()> {
         let x = self.field.wrap_x(x);
-        self.window();
+        self.window()?;
         let channel = Channel { field: &*self.field, values: &self.state.values, sigma: self.state.sigma };
         let noise = Noise::new(&channel, &self.state.options)?;
-        let Some((_, patch)) = &self.patch else { return Ok(()) };
+        let Some(patch) = &self.patch else { return Ok(()) };
         let worst = noise.levels.iter().map(|l| l.factor).fold(0.0, f64::max).powi(2);
         let value = value - patch.level;
         let step = self.state.lattice.step;

@@ -116,17 +116,116 @@ fn streaming_and_batch_agree_on_the_same_samples() {
 fn a_saved_stream_goes_on_bit_for_bit() {
     let map: Arc<dyn Field> = Arc::new(exact());
     let track = flight(&exact(), [330.0, 610.0], 25, 0.5, 8.0, 5);
-    let mut first = PosteriorMatcher::new(map.clone(), Some(0.5), PosteriorOptions::new([1000.0; 2]), 100).unwrap();
-    for k in 0..10 {
-        first.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+    let mut all = PosteriorOptions::new([1000.0; 2]);
+    (all.heading_sigma_deg, all.scale_sigma, all.drift_sigma_m) = (2.0, 0.01, 100.0);
+    for options in [PosteriorOptions::new([1000.0; 2]), all] {
+        let mut first = PosteriorMatcher::new(map.clone(), Some(0.5), options, 100).unwrap();
+        for k in 0..10 {
+            first.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+        }
+        let mut second = PosteriorMatcher::load(map.clone(), &first.save().unwrap()).unwrap();
+        for k in 10..25 {
+            let a = first.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+            let b = second.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
+            assert_eq!(a.status, b.status);
+            assert_eq!(a.risk.to_bits(), b.risk.to_bits());
+        }
     }
-    let mut second = PosteriorMatcher::load(map, &first.save().unwrap()).unwrap();
-    for k in 10..25 {
-        let a = first.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
-        let b = second.update(track.x()[k], track.y()[k], track.values()[k]).unwrap();
-        assert_eq!(a.status, b.status);
-        assert_eq!(a.risk.to_bits(), b.risk.to_bits());
+}
+
+#[test]
+fn a_saved_stream_is_refused_by_another_map() {
+    let mut stream =
+        PosteriorMatcher::new(Arc::new(exact()), Some(0.5), PosteriorOptions::new([1000.0; 2]), 100).unwrap();
+    stream.update(6000.0, 6000.0, 10.0).unwrap();
+    let axis: Vec<f64> = (0..40).map(|i| 50.0 * f64::from(i)).collect();
+    let finer = GridMap::new(GridValues::F64(vec![0.0; 1600]), &axis, &axis, false).unwrap();
+    let refused = PosteriorMatcher::load(Arc::new(finer), &stream.save().unwrap());
+    assert!(matches!(refused, Err(crate::error::Error::State { .. })));
+}
+
+#[test]
+fn readings_that_have_nothing_to_do_with_the_map_are_rejected() {
+    let bare = rough(0.0);
+    let stated = bare.clone().with_sigma(Some(MapSigma::Constant(5.0))).unwrap();
+    for (name, map) in [("exact", exact()), ("stated", stated), ("bare", bare)] {
+        for n in [20, 40, 80] {
+            let track = flight(&map, [0.0; 2], n, 1e5, 0.0, 7);
+            let fix = match_posterior(&map, &track, Some(0.5), &PosteriorOptions::new([500.0; 2])).unwrap();
+            assert_eq!(fix.status, Status::Rejected, "{name}, {n} samples: {:?}", fix.goodness);
+            let right = flight(&map, [200.0, 100.0], n, 0.5, 0.0, 7);
+            let fix = match_posterior(&map, &right, Some(0.5), &PosteriorOptions::new([500.0; 2])).unwrap();
+            assert!(fix.goodness.unwrap() > 0.01, "{name}, {n} samples: {:?}", fix.goodness);
+        }
     }
+}
+
+#[test]
+fn goodness_is_a_p_value_on_a_right_map() {
+    let map = exact();
+    let goodness = |seed| {
+        let track = flight(&map, [200.0, 100.0], 40, 0.5, 0.0, seed);
+        let options = PosteriorOptions::new([300.0; 2]);
+        match_posterior(&map, &track, Some(0.5), &options).unwrap().goodness.unwrap()
+    };
+    let all: Vec<f64> = (0..400).map(goodness).collect();
+    for p in [0.01, 0.05, 0.2] {
+        let share = all.iter().filter(|g| **g <= p).count() as f64 / 400.0;
+        // Four standard deviations of a share, and never the other way: what is tested is that good tracks are kept.
+        assert!(share <= p + 4.0 * (p * (1.0 - p) / 400.0).sqrt(), "{share} at {p}");
+    }
+}
+
+#[test]
+fn a_second_field_that_is_nonsense_is_rejected() {
+    let map = exact();
+    let track = flight(&map, [200.0, 100.0], 40, 0.5, 0.0, 7);
+    let other = flight(&map, [200.0, 100.0], 40, 1e5, 0.0, 8);
+    let channel = |values| Channel { field: &map as &dyn Field, values, sigma: Some(0.5) };
+    let options = PosteriorOptions::new([500.0; 2]);
+    let fix = match_channels(&[channel(track.values()), channel(other.values())], &track, &options).unwrap();
+    assert_eq!(fix.status, Status::Rejected);
+}
+
+#[test]
+fn every_map_may_be_on_its_own_turn_of_longitude() {
+    let plane = exact();
+    let on_turn = |first: f64| {
+        let x: Vec<f64> = (0..121).map(|i| first + 0.001 * f64::from(i)).collect();
+        let y: Vec<f64> = (0..121).map(|i| 0.001 * f64::from(i)).collect();
+        let values = (0..121 * 121).map(|i| plane.values().get(i)).collect();
+        let map = GridMap::new(GridValues::F64(values), &x, &y, true).unwrap();
+        map.with_sigma(Some(MapSigma::Constant(0.0))).unwrap()
+    };
+    let flown = flight(&plane, [400.0, -300.0], 30, 0.5, 0.0, 3);
+    let longitude = flown.x().iter().map(|x| 179.95 + x * 1e-5).collect();
+    let latitude = flown.y().iter().map(|y| y * 1e-5).collect();
+    let track = Track::new(longitude, latitude, flown.values().to_vec(), None).unwrap();
+    let (near, far) = (on_turn(179.95), on_turn(179.95 - 360.0));
+    let options = PosteriorOptions::new([0.01; 2]);
+    let fix = |second: &GridMap| {
+        let both =
+            [&near as &dyn Field, second].map(|field| Channel { field, values: track.values(), sigma: Some(0.5) });
+        match_channels(&both, &track, &options).unwrap()
+    };
+    let (same, other) = (fix(&near), fix(&far));
+    assert_eq!(same.status, Status::Fixed);
+    assert_relative_eq!(same.offset[0], 0.004, epsilon = 5e-4);
+    assert_eq!(other.status, Status::Fixed);
+    assert_relative_eq!(other.offset[0], same.offset[0], epsilon = 1e-6);
+    assert_relative_eq!(other.risk.unwrap(), same.risk.unwrap(), epsilon = 1e-6);
+}
+
+#[test]
+fn a_field_without_a_grid_is_not_laid_out_over_half_the_world() {
+    let field = crate::synthetic::CrustSpec::default().draw([0.0, 0.0, 12_000.0, 12_000.0], false, 1).unwrap();
+    let track = flight(&exact(), [0.0; 2], 10, 1.0, 0.0, 0);
+    let mut options = PosteriorOptions::new([1000.0; 2]);
+    options.drift_sigma_m = 1e7;
+    let refused = match_posterior(&field, &track, Some(1.0), &options);
+    assert!(matches!(refused, Err(crate::error::Error::TooManyCandidates { .. })), "{refused:?}");
+    let far = Track::new(vec![0.0, 1e300], vec![0.0, 0.0], vec![1.0, 2.0], None).unwrap();
+    assert!(match_posterior(&field, &far, Some(1.0), &PosteriorOptions::new([1000.0; 2])).is_err());
 }
 
 #[test]
