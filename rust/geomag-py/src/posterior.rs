@@ -137,10 +137,11 @@ pub fn match_posterior(
     };
     let more = extras(more)?;
     let track = &track.get().inner;
-    let fix = py.detach(|| {
+    let units = posterior::work(&*map, track, &options)?.saturating_mul(more.len() as u64 + 1);
+    let fix = long_call::run(py, units, None, None, |monitor| {
         let mut channels = vec![Channel { field: &*map, values: track.values(), sigma }];
         channels.extend(more.iter().map(|(f, v, s)| Channel { field: &**f, values: v, sigma: *s }));
-        posterior::match_channels(&channels, track, &options)
+        posterior::match_interruptible(&channels, track, &options, monitor)
     })?;
     Ok(fix.into())
 }

@@ -43,13 +43,27 @@ use std::sync::Arc;
 use crate::error::Result;
 use crate::field::Field;
 use crate::fix::Fix;
-use crate::monitor::Monitor;
+use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
-use problem::Problem;
+use problem::{Interruption, Problem};
 use rayon::prelude::*;
+use search::Lattice;
 
-/// Tracks between two looks at the monitor.
+/// Tracks that are matched at once.
 const MANY: usize = 64;
+
+/// A monitor told the same from every place of a computation that cannot say more.
+struct At<'a> {
+    monitor: &'a dyn Monitor,
+    done: usize,
+    total: usize,
+}
+
+impl Monitor for At<'_> {
+    fn advance(&self, _: u64, _: u64) -> Result<()> {
+        self.monitor.advance(self.done as u64, self.total as u64)
+    }
+}
 
 /// Calibrated position fix of a track on one map.
 ///
@@ -77,21 +91,48 @@ pub fn match_posterior(
 /// # Errors
 /// As [`match_posterior`]; [`Error::Shape`](crate::error::Error::Shape) where a channel has another number of values.
 pub fn match_channels(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions) -> Result<Fix> {
-    // One entry into the pool of threads, not one a stage.
-    rayon::scope(|_| solve(channels, track, options))
+    match_interruptible(channels, track, options, &Quiet)
 }
 
-fn solve(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions) -> Result<Fix> {
-    let problem = Problem::new(channels, track, options)?;
+/// [`match_channels`] that `monitor` may stop; it is told nothing of how far the search is.
+///
+/// # Errors
+/// As [`match_channels`]; [`Error::Interrupted`](crate::error::Error::Interrupted).
+pub fn match_interruptible(
+    channels: &[Channel<'_>],
+    track: &Track,
+    options: &PosteriorOptions,
+    monitor: &dyn Monitor,
+) -> Result<Fix> {
+    // One entry into the pool of threads, not one a stage.
+    rayon::scope(|_| solve(channels, track, options, monitor))
+}
+
+/// About how long a match takes with these options, nanoseconds of one thread.
+///
+/// # Errors
+/// As [`match_posterior`] for the options and the size of the lattice.
+pub fn work(field: &dyn Field, track: &Track, options: &PosteriorOptions) -> Result<u64> {
+    options.validate()?;
+    let lattice = Lattice::new(field.spacing(), options)?;
+    Ok(lattice.len().saturating_mul(track.len() as u64))
+}
+
+fn solve(channels: &[Channel<'_>], track: &Track, options: &PosteriorOptions, monitor: &dyn Monitor) -> Result<Fix> {
+    let mut problem = Problem::new(channels, track, options)?;
+    problem.interruption = Interruption::by(monitor);
     let lattice = problem.lattice()?;
     let posterior = problem.solve(lattice.offsets(), lattice.step);
+    problem.interruption.none()?;
     let mut fix = decide::answer(&problem, track, &posterior, &lattice);
     if options.surface {
         let step = lattice.step;
         let fixed = PosteriorOptions { step: Some(step), ..options.clone() };
-        let problem = Problem::new(channels, track, &fixed)?;
+        let mut problem = Problem::new(channels, track, &fixed)?;
+        problem.interruption = Interruption::by(monitor);
         let offsets = lattice.offsets();
         let posterior = problem.solve(offsets.clone(), step);
+        problem.interruption.none()?;
         let mut log_p = vec![f64::NEG_INFINITY; offsets.len()];
         if posterior.log_p.len() == log_p.len() {
             log_p.copy_from_slice(&posterior.log_p);
@@ -114,9 +155,11 @@ pub fn match_many(
 ) -> Result<Vec<Fix>> {
     let mut fixes = Vec::with_capacity(tracks.len());
     for batch in tracks.chunks(MANY) {
-        monitor.advance(fixes.len() as u64, tracks.len() as u64)?;
-        let some: Result<Vec<Fix>> =
-            batch.par_iter().map(|track| match_posterior(field, track, sigma, options)).collect();
+        let here = At { monitor, done: fixes.len(), total: tracks.len() };
+        let one = |track: &Track| {
+            match_interruptible(&[Channel { field, values: track.values(), sigma }], track, options, &here)
+        };
+        let some: Result<Vec<Fix>> = batch.par_iter().map(one).collect();
         fixes.extend(some?);
     }
     Ok(fixes)
@@ -137,12 +180,13 @@ pub fn stream_many(
 ) -> Result<Vec<Fix>> {
     let mut fixes = Vec::with_capacity(tracks.len());
     for batch in tracks.chunks(MANY) {
-        monitor.advance(fixes.len() as u64, tracks.len() as u64)?;
+        let here = At { monitor, done: fixes.len(), total: tracks.len() };
         let some: Result<Vec<Fix>> = batch
             .par_iter()
             .map(|track| {
                 let mut matcher = PosteriorMatcher::new(field.clone(), sigma, options.clone(), track.len().max(3))?;
                 for k in 0..track.len() {
+                    here.advance(0, 0)?;
                     let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
                     if let Some(fix) = step.fix.filter(Fix::ok) {
                         return Ok(fix);

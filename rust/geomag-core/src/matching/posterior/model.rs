@@ -23,8 +23,17 @@ const DEFAULT_REGISTRATION: f64 = 0.15;
 /// as well be a field known exactly as a sparse survey, and hardly anything between.
 const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, 0.0), (0.1, -2.0), (0.33, -1.0), (1.0, 0.0), (3.0, -1.0)];
 
+/// Largest limit of a lattice.
+const MOST_CANDIDATES: u64 = 100_000_000;
+
 /// Largest standard deviation of a drift: half the way round the Earth.
 const MOST_DRIFT_M: f64 = 2e7;
+
+/// Standard deviations of the error level over which residuals are checked, and the spread for that over the posterior's own:
+/// the posterior's is how most tracks fare, but one in twenty of a survey's is worse than three of it (docs/calibration-report.md),
+/// and most of these are matched rightly.
+const CHECKED: i32 = 4;
+const CHECKED_SPREAD: f64 = 2.0;
 
 /// Most error levels of one channel.
 pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len();
@@ -56,7 +65,7 @@ pub struct PosteriorOptions {
     pub min_overlap: f64,
     /// Least p-value of the residuals with which a fix is declared.
     pub min_goodness: f64,
-    /// Largest lattice that may be built.
+    /// Largest lattice that may be built, at most 10^8: a candidate takes some 200 bytes.
     pub max_candidates: u64,
     /// Whether the posterior over the first lattice is returned with the fix.
     pub surface: bool,
@@ -119,6 +128,9 @@ impl PosteriorOptions {
         if !(self.min_overlap > 0.0 && self.min_overlap <= 1.0) {
             return Err(Error::invalid("min_overlap", "a share in (0, 1]", self.min_overlap));
         }
+        if self.max_candidates > MOST_CANDIDATES {
+            return Err(Error::invalid("max_candidates", format!("at most {MOST_CANDIDATES}"), self.max_candidates));
+        }
         if !(0.0..1.0).contains(&self.min_goodness) {
             return Err(Error::invalid("min_goodness", "a p-value in [0, 1)", self.min_goodness));
         }
@@ -160,6 +172,8 @@ pub(super) struct Noise {
     pub typical: usize,
     /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
     pub levels_are_distances: bool,
+    /// Standard deviation of the logarithm of a track's error level, 0 where the levels are no spread about the map's sigma.
+    spread: f64,
     /// Correlation length and registration error, in distances to the data.
     pub correlation: f64,
     pub registration: f64,
@@ -217,6 +231,7 @@ impl Noise {
             typical: if exact { 0 } else { levels.len() / 2 },
             levels,
             levels_are_distances: !stated,
+            spread: if exact || !stated { 0.0 } else { spread },
             correlation: model.map_or(DEFAULT_CORRELATION, |m| m.correlation),
             registration: model.map_or(DEFAULT_REGISTRATION, |m| m.registration),
         })
@@ -224,10 +239,18 @@ impl Noise {
 }
 
 impl Noise {
-    /// The level at which the map may be at its worst.
-    pub fn kindest(&self) -> usize {
-        let worse = |a: usize, b: usize| if self.levels[b].factor > self.levels[a].factor { b } else { a };
-        (0..self.levels.len()).fold(0, worse)
+    /// The levels over which residuals are checked: those of a spread to its far tail; else the worst, of which a track may be without being unlikely.
+    pub fn checked(&self) -> Vec<Level> {
+        if self.spread == 0.0 {
+            let worst =
+                self.levels.iter().copied().fold(self.levels[0], |a, b| if b.factor > a.factor { b } else { a });
+            return vec![Level { log_prior: 0.0, ..worst }];
+        }
+        let nu = self.levels[self.typical].nu;
+        let z = (-2 * CHECKED..=2 * CHECKED).map(|i| 0.5 * f64::from(i));
+        let total = z.clone().map(|z| (-0.5 * z * z).exp()).sum::<f64>().ln();
+        z.map(|z| Level { factor: (CHECKED_SPREAD * self.spread * z).exp(), nu, log_prior: -0.5 * z * z - total })
+            .collect()
     }
 
     /// Displacement of features common to a whole track, per axis, metres.

@@ -5,12 +5,12 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-use super::match_posterior;
 use super::model::{Channel, PosteriorOptions};
 use super::problem::Problem;
+use super::{At, MANY, match_interruptible};
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::monitor::Monitor;
+use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
 
 /// What is to be expected of a fix at the end of a planned track.
@@ -47,6 +47,18 @@ pub fn predict(
     flights: usize,
     seed: u64,
 ) -> Result<Prediction> {
+    predict_interruptible(field, track, sigma, options, flights, seed, &Quiet)
+}
+
+fn predict_interruptible(
+    field: &dyn Field,
+    track: &Track,
+    sigma: Option<f64>,
+    options: &PosteriorOptions,
+    flights: usize,
+    seed: u64,
+    monitor: &dyn Monitor,
+) -> Result<Prediction> {
     let values: Vec<f64> = (0..track.len()).map(|k| field.value(track.x()[k], track.y()[k])).collect();
     let known = values.iter().filter(|v| v.is_finite()).count();
     if known == 0 {
@@ -70,6 +82,7 @@ pub fn predict(
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let (mut fixed, mut wrong) = (0_usize, 0_usize);
     for _ in 0..flights {
+        monitor.advance(0, 0)?;
         let offset =
             [rng.random_range(-1.0..1.0) * options.half_width[0], rng.random_range(-1.0..1.0) * options.half_width[1]];
         let mut previous: f64 = rng.sample(StandardNormal);
@@ -85,7 +98,8 @@ pub fn predict(
         let x = planned.x().iter().map(|x| x - offset[0]).collect();
         let y = planned.y().iter().map(|y| y - offset[1]).collect();
         let flown = Track::new(x, y, noisy, planned.time_s().map(<[f64]>::to_vec))?;
-        let fix = match_posterior(field, &flown, sigma, options)?;
+        let channel = Channel { field, values: flown.values(), sigma };
+        let fix = match_interruptible(&[channel], &flown, options, monitor)?;
         if fix.ok() {
             fixed += 1;
             let [east, north] = crate::frame::displacement_m(field.geographic(), planned.newest(), [fix.x, fix.y]);
@@ -116,8 +130,8 @@ pub fn predict_many(
     monitor: &dyn Monitor,
 ) -> Result<Vec<Option<Prediction>>> {
     let mut out = Vec::with_capacity(tracks.len());
-    for batch in tracks.chunks(64) {
-        monitor.advance(out.len() as u64, tracks.len() as u64)?;
+    for batch in tracks.chunks(MANY) {
+        let here = At { monitor, done: out.len(), total: tracks.len() };
         let first = out.len() as u64;
         let some: Result<Vec<_>> = batch
             .par_iter()
@@ -128,7 +142,8 @@ pub fn predict_many(
                     return Ok(None);
                 }
                 // Every track its own seed, so that the answer does not depend on the number of threads.
-                predict(field, track, sigma, options, flights, seed.wrapping_add(first + i as u64)).map(Some)
+                let seed = seed.wrapping_add(first + i as u64);
+                predict_interruptible(field, track, sigma, options, flights, seed, &here).map(Some)
             })
             .collect();
         out.extend(some?);

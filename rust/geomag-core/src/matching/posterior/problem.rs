@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
@@ -13,6 +14,7 @@ use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::displacement_m;
+use crate::monitor::Monitor;
 use crate::track::Track;
 
 /// What is to be expected of a track: see [`Problem::expected`].
@@ -35,6 +37,38 @@ pub(super) struct Closer {
     pub goodness: f64,
 }
 
+/// Whether somebody wants the search to stop: asked between blocks of candidates, by whichever thread has one.
+#[derive(Default)]
+pub(super) struct Interruption<'a> {
+    monitor: Option<&'a dyn Monitor>,
+    stopped: AtomicBool,
+}
+
+impl<'a> Interruption<'a> {
+    pub fn by(monitor: &'a dyn Monitor) -> Self {
+        Self { monitor: Some(monitor), stopped: AtomicBool::new(false) }
+    }
+
+    /// Whether to stop, here and from now on.
+    fn now(&self) -> bool {
+        let Some(monitor) = self.monitor else { return false };
+        if self.stopped.load(Ordering::Relaxed) {
+            return true;
+        }
+        let stop = monitor.advance(0, 0).is_err();
+        if stop {
+            self.stopped.store(true, Ordering::Relaxed);
+        }
+        stop
+    }
+
+    /// # Errors
+    /// [`Error::Interrupted`] where the search was stopped: what it found is worth nothing.
+    pub fn none(&self) -> Result<()> {
+        if self.stopped.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
+    }
+}
+
 /// A problem made ready: everything that does not depend on the candidate.
 pub(super) struct Problem<'a> {
     pub options: &'a PosteriorOptions,
@@ -47,6 +81,7 @@ pub(super) struct Problem<'a> {
     pub cell: [f64; 2],
     pub tolerance_m: f64,
     pub spacing_m: f64,
+    pub interruption: Interruption<'a>,
 }
 
 /// One channel, made ready.
@@ -188,7 +223,18 @@ impl<'a> Problem<'a> {
             }
         }
         let tolerance_m = options.tolerance_m.unwrap_or_else(|| (cell[0] * scale_m[0]).max(cell[1] * scale_m[1]));
-        Ok(Self { options, field, channels: prepared, samples: n, nuisance, scale_m, cell, tolerance_m, spacing_m })
+        Ok(Self {
+            options,
+            field,
+            channels: prepared,
+            samples: n,
+            nuisance,
+            scale_m,
+            cell,
+            tolerance_m,
+            spacing_m,
+            interruption: Interruption::default(),
+        })
     }
 
     pub fn setup<'b>(&'b self, channel: &'b Prepared, node: usize, step: [f64; 2]) -> Setup<'b> {
@@ -241,6 +287,9 @@ impl<'a> Problem<'a> {
         let score = |(channel, scope): (&Prepared, &Scope)| {
             let cells: Vec<[f64; 2]> = offsets.iter().map(|o| channel.cells(*o)).collect();
             let one = |scratch: &mut Scratch, block: &[[f64; 2]]| {
+                if self.interruption.now() {
+                    return (Scores::nothing(), Vec::new());
+                }
                 self.score_block::<BOUND>(channel, scope, step, block, scratch)
             };
             let work = offsets.len() * self.samples * scope.levels.len() * scope.nodes.len();
@@ -338,20 +387,24 @@ impl<'a> Problem<'a> {
         (node, kernel::detail(&setup, channel.cells(offset), level, &mut Scratch::default()))
     }
 
-    /// p-value of one channel's residuals at an offset, at the kindest of its error levels, so that a track on which the
-    /// map is at its worst is not refused for that.
+    /// p-value of one channel's residuals at an offset: the chance, over what the error level of a track may be, that the
+    /// mean of (nu + 1) z^2 / (nu + z^2) is as large (Box, J. Roy. Stat. Soc. A 143 (1980) 383: the prior predictive check).
     ///
-    /// Under the model the mean of (nu + 1) z^2 / (nu + z^2) is 1 and its variance 2 nu / (nu + 3) a sample; correlated
-    /// samples count as fewer.
+    /// Under a level that mean is 1 and its variance 2 nu / (nu + 3) a sample; correlated samples count as fewer.
     fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
-        let index = channel.noise.kindest();
-        let (_, detail) = self.look(channel, offset, index, step);
-        let level = channel.noise.levels[index];
         let (map_sigma, distance) = self.along(channel);
         let map_variance = channel.mean_variance(&map_sigma);
-        let (_, temper) = channel.temper(&level, distance, map_variance, self.spacing_m);
-        let effective = (detail.known as f64 * temper).max(1.0);
-        normal_tail((detail.misfit - 1.0) / (2.0 * level.nu / ((level.nu + 3.0) * effective)).sqrt())
+        let (node, _) = self.look(channel, offset, channel.noise.typical, step);
+        let setup = self.setup(channel, node, step);
+        let mut scratch = Scratch::default();
+        let tail = |level: Level| {
+            let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
+            let (_, temper) = channel.temper(&level, distance, map_variance, self.spacing_m);
+            let effective = (detail.known as f64 * temper).max(1.0);
+            let deviation = (2.0 * level.nu / ((level.nu + 3.0) * effective)).sqrt();
+            level.log_prior.exp() * normal_tail((detail.misfit - 1.0) / deviation)
+        };
+        channel.noise.checked().into_iter().map(tail).sum()
     }
 
     /// What is to be expected at the track's own positions: offset zero, no noise in the values.

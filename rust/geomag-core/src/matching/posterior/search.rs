@@ -426,6 +426,11 @@ impl Lattice {
         Ok(Self { step, most })
     }
 
+    /// How many there are.
+    pub fn len(&self) -> u64 {
+        self.most.map(|m| 2 * m as u64 + 1).iter().product()
+    }
+
     /// All of them, row by row.
     pub fn offsets(&self) -> Vec<[f64; 2]> {
         let [columns, rows] = self.most;
