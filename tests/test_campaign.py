@@ -243,17 +243,21 @@ def test_a_folder_does_not_take_one_callable_for_another(plan, tmp_path):
         (partial(by_msd, half_width=900.0), by_msd),
         (ByMsd(900.0), ByMsd(2500.0)),
         (ByMsd(900.0).__call__, ByMsd(2500.0).__call__),
-        (campaign.Keyed("narrow", lambda g, t: by_msd(g, t, 900.0)), campaign.Keyed("wide", lambda g, t: by_msd(g, t))),
+        (campaign.Keyed("narrow", lambda g, t: by_msd(g, t, 900.0)), campaign.Keyed("wide", by_msd)),
     ]
     for k, (one, other) in enumerate(pairs):
         table = plan.run(one, 3, folder=tmp_path / str(k))
         assert table.equals(plan.run(one, 3, folder=tmp_path / str(k)))
         with pytest.raises(geomag.StateError, match="differs in methods"):
             plan.run(other, 3, folder=tmp_path / str(k))
-    for unknown in (lambda g, t: by_msd(g, t), partial(lambda g, t, w: by_msd(g, t, w), w=9.0), ByMsd(lambda: 3.0)):
+    for unknown in (
+        lambda g, t: by_msd(g, t, 9.0),
+        partial(lambda g, t, w: by_msd(g, t, 9 * w), w=9.0),
+        ByMsd(lambda: 3),
+    ):
         with pytest.raises(geomag.InvalidInputError, match="Keyed"):
             plan.run(unknown, 3, folder=tmp_path / "unknown")
-    plan.run(lambda g, t: by_msd(g, t), 1)  # without a folder there is nothing to take it for
+    plan.run(lambda g, t: by_msd(g, t, 900.0), 1)  # without a folder there is nothing to take it for
 
 
 def test_a_folder_sees_that_a_function_was_edited(plan, tmp_path):
@@ -362,7 +366,7 @@ def stays(grid, track):
 def test_an_exception_that_does_not_travel_is_told_in_words(plan):
     with (
         ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
-        pytest.raises(geomag.GeomagError, match="trials 0 to 1 .*from a worker"),
+        pytest.raises(geomag.GeomagError, match=r"trials 0 to 1 .*from a worker"),
     ):
         plan.run(stays, 4, executor=pool, chunk=2)
 

@@ -561,7 +561,7 @@ def _identity(name: str, matcher: object) -> object:
         code = _digest(matcher.__code__)
         defaults = _pickled(name, (matcher.__defaults__, matcher.__kwdefaults__))
         return {"function": f"{matcher.__module__}.{matcher.__qualname__}", "code": code, "defaults": defaults}
-    call = getattr(matcher, "__func__", None) or getattr(type(matcher), "__call__", None)
+    call = getattr(matcher, "__func__", None) or vars(type(matcher)).get("__call__")
     code = _digest(call.__code__) if isinstance(call, FunctionType) else ""
     return {"object": type(matcher).__qualname__, "code": code, "state": _pickled(name, matcher)}
 

@@ -195,6 +195,16 @@ def folds_of(lines: list[Lines], folds: int) -> npt.NDArray[np.int_]:
     return out
 
 
+def _nodes(c: Array, step: float) -> tuple[float, int]:
+    """First of the whole multiples of `step` that enclose every coordinate, and how many there are, at least 2."""
+    low, high = float(c.min()), float(c.max())
+    first = float(np.floor(low / step) * step)
+    # A quotient may round up to a whole number that the coordinate does not reach, or down to one that it passes.
+    first -= step * (first > low)
+    count = max(int(np.ceil((high - first) / step)) + 1, 2)
+    return first, count + (first + step * (count - 1) < high)
+
+
 @dataclass(frozen=True)
 class _Axes:
     x: tuple[float, float, int]
@@ -210,14 +220,16 @@ class _Axes:
             step = max(line_spacing_m(lines) / 8, float(np.sqrt(area / MOST_NODES)))
             sx, sy = step / east, step / north
         else:
-            sx, sy = np.broadcast_to(np.asarray(spacing, dtype=float), 2)
-        if not (sx > 0 and sy > 0):
-            raise InvalidInputError(f"spacing: needed numbers > 0, got {spacing}")
-        nx, ny = int(np.ptp(lines.x) / sx) + 2, int(np.ptp(lines.y) / sy) + 2
+            try:
+                sx, sy = np.broadcast_to(np.asarray(spacing, dtype=float), 2)
+            except (TypeError, ValueError) as error:
+                raise InvalidInputError(f"spacing: needed a number or a pair (x, y), got {spacing!r}") from error
+        if not (0 < sx < np.inf and 0 < sy < np.inf):
+            raise InvalidInputError(f"spacing: needed finite numbers > 0, got {spacing}")
+        (x0, nx), (y0, ny) = _nodes(lines.x, float(sx)), _nodes(lines.y, float(sy))
         if nx * ny > 50_000_000:
             raise InvalidInputError(f"spacing: needed a grid of at most 50,000,000 nodes, got {ny} x {nx}")
-        x0, y0 = np.floor(lines.x.min() / sx) * sx, np.floor(lines.y.min() / sy) * sy
-        return _Axes((float(x0), float(sx), nx), (float(y0), float(sy), ny), (float(sx * east), float(sy * north)))
+        return _Axes((x0, float(sx), nx), (y0, float(sy), ny), (float(sx * east), float(sy * north)))
 
     @staticmethod
     def of(grid: GridMap) -> _Axes:
