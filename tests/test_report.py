@@ -183,37 +183,6 @@ def test_stream_answers_line_by_line(scene):
     assert process.wait(30) in (0, 3)
 
 
-def test_nmea_gives_the_samples():
-    from geomag.stream import read_nmea
-
-    def sentence(body):
-        checksum = 0
-        for byte in body.encode():
-            checksum ^= byte
-        return f"${body}*{checksum:02X}"
-
-    lines = [
-        sentence("GPGGA,120030.50,4807.0380,N,01131.0000,W,1,08,0.9,545.4,M,46.9,M,,"), sentence("PGMAG,48123.5"),
-        sentence("GPGSV,1,1,00"), sentence("GPRMC,120031,A,3351.6500,S,15112.6000,E,0,0,010126,,"),
-        sentence("PGMAG,-12.25"), "noise",
-    ]  # fmt: skip
-    first, second = read_nmea(lines)
-    assert (first.x, first.y, first.value) == pytest.approx((-(11 + 31 / 60), 48 + 7.038 / 60, 48123.5))
-    assert first.time_s == pytest.approx(12 * 3600 + 30.5)
-    assert (second.x, second.y) == pytest.approx((151 + 12.6 / 60, -(33 + 51.65 / 60)))
-    with pytest.raises(geomag.InvalidInputError, match="line 1: needed checksum"):
-        list(read_nmea(["$PGMAG,1.0*00"]))
-
-
-def test_csv_refuses_by_line():
-    from geomag.stream import read_csv
-
-    assert [s.value for s in read_csv(["x,y,value", "1,2,3", "# note", "0,1,2,4"])] == [3.0, 4.0]
-    for bad in ("1,2", "1,2,nan", "a,b,c"):
-        with pytest.raises(geomag.InvalidInputError, match="line 2"):
-            list(read_csv(["1,2,3", bad]))
-
-
 def test_geojson_is_longitude_and_latitude(scene, tmp_path):
     pytest.importorskip("pyproj")
     _, grid, flight = scene
