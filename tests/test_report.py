@@ -208,8 +208,13 @@ def test_geopackage_round_trip(scene, tmp_path):
     back = exchange.read_geopackage_track(path, crs=grid.crs, time="time_s")
     np.testing.assert_allclose(back.x, flight.track.x, atol=1e-2)
     np.testing.assert_allclose(back.values, flight.track.values)
+    assert np.array_equal(exchange.read_geopackage_track(path).time_s, flight.track.time_s)
     both = exchange.write_geopackage(tmp_path / "b.gpkg", {"log": flight.track, "more": other}, crs=grid.crs)
-    assert len(exchange.read_geopackage_track(both, crs=grid.crs)) == len(flight.track) + 5
+    assert len(exchange.read_geopackage_track(both, crs=grid.crs, track="log")) == len(flight.track)
+    assert len(exchange.read_geopackage_track(both, crs=grid.crs, track="more")) == 5
+    for wrong in (None, "less"):
+        with pytest.raises(geomag.UnknownVariableError, match="log, more"):
+            exchange.read_geopackage_track(both, crs=grid.crs, track=wrong)
     with pytest.raises(geomag.GeomagError, match="layer 'none'"):
         exchange.read_geopackage_track(path, layer="none")
 
@@ -223,8 +228,18 @@ def test_pandas_round_trip(scene):
         assert np.array_equal(getattr(back, name), getattr(track, name))
     stamped = frame.assign(when=pandas.Timestamp("2026-01-01", tz="UTC") + pandas.to_timedelta(frame.time_s, unit="s"))
     assert np.allclose(exchange.track_from_pandas(stamped, time="when").time_s, track.time_s)
+    assert np.array_equal(exchange.track_from_pandas(frame).time_s, track.time_s)
     with pytest.raises(geomag.UnknownVariableError, match="'nt'"):
         exchange.track_from_pandas(frame, value="nt")
+    with pytest.raises(geomag.TooFewSamplesError):
+        exchange.track_from_pandas(stamped.iloc[:0], time="when")
+
+
+def test_a_track_comes_from_pandas_in_one_way():
+    from geomag import io
+
+    assert exchange.track_from_pandas is io.track_from_pandas
+    assert exchange.track_to_pandas is io.track_to_pandas
 
 
 def test_accessor_does_what_the_functions_do(scene):

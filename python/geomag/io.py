@@ -553,6 +553,8 @@ def _seconds(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any,
     series = table[{str(c): c for c in table.columns}[column]]
     if pandas.api.types.is_numeric_dtype(series):
         return np.asarray(series, dtype=np.float64)
+    if not len(series):
+        return np.empty(0)
     try:
         stamps = pandas.to_datetime(series, utc=True)
     except (ValueError, TypeError) as error:
