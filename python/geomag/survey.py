@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError, UnknownVariableError
 from geomag._geomag import GridMap, Track, _distance_to_data, _minimum_curvature, match_posterior_many
+from geomag._metres import metres_per_unit
 from geomag._optional import require
 from geomag.io import floats, read_table
 
@@ -108,10 +109,7 @@ class Lines:
 
     def scale_m(self) -> tuple[float, float]:
         """Metres per map unit (east, north) at the middle of the lines."""
-        if not self.geographic:
-            return 1.0, 1.0
-        probe = GridMap(np.zeros((2, 2)), [0.0, 1.0], [-1.0, 1.0], geographic=True)
-        return probe.metres_per_unit(float(np.mean(self.y)))
+        return metres_per_unit(self.geographic, float(np.mean(self.y)))
 
 
 @dataclass
