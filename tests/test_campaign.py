@@ -349,7 +349,7 @@ def test_what_a_matcher_raises_is_not_tried_again(plan):
     with ThreadPoolExecutor(1) as pool, pytest.raises(ZeroDivisionError, match="of one's own") as caught:
         plan.run(method, 40, executor=pool, chunk=4)
     assert any("trials 0 to 3" in note for note in caught.value.__notes__)
-    assert method.calls <= 2  # one more may have begun before the others were called off
+    assert method.calls <= 10  # no chunk twice; some may have begun before they were called off
 
 
 class Stays(Exception):
@@ -420,6 +420,7 @@ def test_dask_executor_interface(plan, table):
         (lambda p: p.run(METHOD, 0), "trials"),
         (lambda p: p.run(METHOD, [1, 1]), "distinct"),
         (lambda p: p.run(METHOD, 2.5), "whole number"),
+        (lambda p: p.flight(-1), "trials"),
         (lambda p: p.run(METHOD, [0.5]), "whole number"),
         (lambda p: campaign.iema(sigma=1, half_width="wide"), "pair"),
         (lambda p: p.run(METHOD, 5, chunk=0), "chunk"),

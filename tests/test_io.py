@@ -112,6 +112,12 @@ def test_a_unit_that_is_no_length_is_refused(x_units, y_units, geographic, words
         geomag.GridMap.from_xarray(projected(x_units, y_units), geographic=geographic)
 
 
+def test_words_are_no_coordinates():
+    array = xr.DataArray(np.eye(3), coords={"y": [0, 1, 2], "x": list("abc")}, dims=("y", "x"))
+    with pytest.raises(geomag.InvalidInputError, match="numbers as coordinates along 'x'"):
+        geomag.GridMap.from_xarray(array, geographic=False)
+
+
 def test_radians_are_no_degrees():
     array = projected("radian", "radian").rename(easting="longitude", northing="latitude")
     with pytest.raises(geomag.InvalidInputError, match="radian"):

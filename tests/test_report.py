@@ -81,7 +81,7 @@ def test_page_is_whole_and_self_contained(scene, tmp_path):
 def test_page_of_no_fix_says_so(scene, tmp_path):
     _, grid, flight = scene
     fix = geomag.Iema(grid, sigma=1e-6, half_width=600.0).run(flight.track)
-    page = Page(match_report(tmp_path / "lost.html", grid, flight.track, fix).read_text(encoding="utf-8"))
+    page = Page(match_report(tmp_path / "new" / "lost.html", grid, flight.track, fix).read_text(encoding="utf-8"))
     words = " ".join(page.words)
     assert "No fix: no candidate agrees with the readings." in words
     assert "is to be moved" not in words
@@ -195,7 +195,7 @@ def test_geojson_is_longitude_and_latitude(scene, tmp_path):
     assert -180 <= longitude <= 180
     assert 0 <= latitude < 1
     assert found["features"][1]["properties"]["status"] == "fixed"
-    json.loads(exchange.write_geojson(tmp_path / "a.geojson", {"fix": fix}, crs=grid.crs).read_text())
+    json.loads(exchange.write_geojson(tmp_path / "new" / "a.geojson", {"fix": fix}, crs=grid.crs).read_text())
     lost = geomag.Iema(grid, sigma=1e-6, half_width=600.0).run(flight.track)
     assert exchange.geojson({"fix": lost}, crs=grid.crs)["features"][0]["geometry"] is None
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -116,6 +119,25 @@ def test_a_void_position_is_none(void):
 def test_a_sentence_that_cannot_be_is_refused_by_line(wrong):
     with pytest.raises(geomag.InvalidInputError, match="line 2: needed an NMEA sentence"):
         list(read_nmea([sentence(GGA), sentence(wrong)]))
+
+
+@pytest.fixture
+def folder(tmp_path, scene):
+    for module in ("typer", "xarray"):
+        pytest.importorskip(module, reason="needs the extras 'cli' and 'io'")
+    scene[0].to_xarray().to_netcdf(tmp_path / "map.nc")
+    return tmp_path
+
+
+def test_noise_on_the_line_is_refused_by_line(folder):
+    done = subprocess.run(
+        [sys.executable, "-m", "geomag", "stream", "map.nc"],
+        cwd=folder, input=b"9000,7000,5\n9000,\xff,5\n", capture_output=True, check=False,
+        env={**os.environ, "PYTHONIOENCODING": "utf-8:strict"},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert b"line 2" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_csv_refuses_by_line():

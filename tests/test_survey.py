@@ -1,4 +1,4 @@
-"""Grids over survey lines: where their nodes lie."""
+"""Survey lines: where the nodes of their grids lie, and what is refused of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import geomag
+from geomag.calibration import calibrate_lines, calibrate_simulated, suitability
 from geomag.survey import ErrorModel, Lines, _Axes, _nodes, map_from_lines
 
 coordinate = st.floats(-1e7, 1e7, allow_subnormal=False)
@@ -44,3 +45,42 @@ def test_a_spacing_that_is_none_is_refused(spacing):
     lines = Lines([0.0, 1, 2, 3], [0.0, 1, 0, 1], [1.0, 2, 3, 4], [0, 0, 1, 1])
     with pytest.raises(geomag.InvalidInputError, match="spacing"):
         _Axes.over(lines, spacing)
+
+
+def test_lines_that_cannot_be_are_refused():
+    with pytest.raises(geomag.InvalidInputError, match="metres"):
+        Lines([5e5, 6e5], [5e6, 5e6], [1.0, 2.0], [0, 0], geographic=True)
+    with pytest.raises(geomag.InvalidInputError, match="lines values: needed numbers"):
+        Lines([0.0, 1.0], [0.0, 1.0], ["a", "b"], [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("sigma", -1.0), ("bias", -1.0), ("bias", np.nan), ("outlier", np.nan), ("outlier_share", 3.0), ("drift_m", np.nan),
+     ("heading_deg", -4.0), ("samples", 0), ("trials", 0), ("half_width_m", np.nan), ("tolerance_m", -1.0)],
+)  # fmt: skip
+def test_a_simulation_of_nonsense_is_refused(name, value):
+    grid = geomag.GridMap(np.random.default_rng(1).normal(size=(60, 60)), 100.0 * np.arange(60), 100.0 * np.arange(60))
+    options = {"sigma": 1.0, "half_width_m": 500.0, "tolerance_m": 100.0, "samples": 10, "trials": 2, name: value}
+    with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
+        calibrate_simulated(grid, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("half_width_m", -1.0), ("tolerance_m", 0.0), ("spacing_m", 0.0), ("spacing_m", np.nan), ("samples", -5),
+     ("folds", 1), ("most", 0)],
+)  # fmt: skip
+def test_a_calibration_of_nonsense_is_refused(name, value):
+    lines = Lines([0.0, 1, 2, 3], [0.0, 1, 0, 1], [1.0, 2, 3, 4], [0, 0, 1, 1])
+    options = {"half_width_m": 500.0, "tolerance_m": 100.0, "spacing_m": 50.0, name: value}
+    with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
+        calibrate_lines(lines, **options)
+
+
+def test_a_look_ahead_of_nonsense_is_refused():
+    grid = geomag.GridMap(np.random.default_rng(1).normal(size=(60, 60)), 100.0 * np.arange(60), 100.0 * np.arange(60))
+    for name, value in (("flights", -1), ("spacing_m", np.inf), ("half_width_m", 0.0)):
+        options = {"spacing_m": 100.0, "half_width_m": 500.0, name: value}
+        with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
+            suitability(grid, **options)

@@ -45,7 +45,7 @@ from geomag._errors import GeomagError, InvalidInputError, ReadError, StateError
 from geomag._geomag import Fix, GridMap, Path, SyntheticField, Track, __version__, campaign_flight, campaign_rows
 from geomag._optional import require
 from geomag._statistics import binomial_interval
-from geomag.synthetic import Flight, InsSpread, Sensor, _as_dict
+from geomag.synthetic import Flight, InsSpread, Sensor, _as_dict, _seed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -354,20 +354,19 @@ class Campaign:
     truth: GridMap | SyntheticField | None = None
 
     def _json(self) -> str:
-        if not (isinstance(self.seed, int) and 0 <= self.seed < 2**64):
-            raise InvalidInputError(f"seed: needed a whole number in [0, 2^64), got {self.seed!r}")
         if isinstance(self.tracks, Path):
             path = self.tracks
             points = {"x": path.x.tolist(), "y": path.y.tolist(), "time_s": path.time_s.tolist()}
             tracks: dict[str, Any] = {"fixed": {**points, "geographic": path.geographic}}
         else:
             tracks = {"random": _as_dict(self.tracks)}
-        plan = {"seed": self.seed, "tracks": tracks, "ins": _as_dict(self.ins), "sensor": _as_dict(self.sensor)}
+        plan = {"seed": _seed(self.seed), "tracks": tracks, "ins": _as_dict(self.ins), "sensor": _as_dict(self.sensor)}
         return json.dumps(plan)
 
     def flight(self, trial: int) -> Flight:
         """Return the flight of one trial: true path, indicated track, true field."""
-        path, track, truth = campaign_flight(self.grid, self.truth, self._json(), trial)
+        (number,) = _numbers([trial])
+        path, track, truth = campaign_flight(self.grid, self.truth, self._json(), number)
         return Flight(path, track, truth)
 
     def run(

@@ -124,6 +124,7 @@ def geojson(items: Mapping[str, object], *, crs: str | None = None) -> dict[str,
 def write_geojson(path: str | PathLike[str], items: Mapping[str, object], *, crs: str | None = None) -> Path:
     """Write tracks, paths and fixes as a GeoJSON file; arguments as `geojson`."""
     target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(json.dumps(geojson(items, crs=crs), allow_nan=False) + "\n", encoding="utf-8")
     return target
 
@@ -135,6 +136,7 @@ def write_geopackage(path: str | PathLike[str], items: Mapping[str, object], *, 
     """
     geopandas = require("geopandas", "geo", "GeoPackage files")
     target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
     collection = geojson(items, crs=crs)["features"]
     for layer, chosen in (("fixes", {"fix"}), ("tracks", {"track", "corrected track"})):
         part = [f for f in collection if f["properties"]["role"] in chosen and f["geometry"] is not None]

@@ -227,6 +227,9 @@ def grid_from_xarray(
         if dim not in array.coords:
             raise InvalidInputError(f"{where}: needed coordinates along '{dim}', got none")
     x, y = np.asarray(array[x_name]), np.asarray(array[y_name])
+    for dim, axis in ((x_name, x), (y_name, y)):
+        if axis.dtype.kind not in "iuf":
+            raise InvalidInputError(f"{where}: needed numbers as coordinates along '{dim}', got {axis.dtype}")
     units = [None if (u := array[d].attrs.get("units")) is None else str(u) for d in (x_name, y_name)]
     crs = data_array.attrs.get("crs")
     if geographic is None:

@@ -82,7 +82,10 @@ class Lines:
     def __post_init__(self) -> None:
         """Convert, and refuse what does not fit together."""
         for name in ("x", "y", "values"):
-            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float64))
+            try:
+                object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float64))
+            except (TypeError, ValueError) as error:
+                raise InvalidInputError(f"lines {name}: needed numbers, got something else ({error})") from error
         object.__setattr__(self, "line", np.asarray(self.line))
         shapes = {name: getattr(self, name).shape for name in ("x", "y", "values", "line")}
         if len(set(shapes.values())) != 1 or len(self.x.shape) != 1:
@@ -95,6 +98,11 @@ class Lines:
                 )
         if self.x.size == 0:
             raise TooFewSamplesError("lines: needed at least 1 point, got 0")
+        if self.geographic and np.abs(self.y).max() > 90.0:
+            worst = self.y[np.abs(self.y).argmax()]
+            raise InvalidInputError(
+                f"lines y: needed latitudes in [-90, 90] degrees (are the lines in metres?), got {worst:g}"
+            )
 
     def split(self) -> list[Lines]:
         """One `Lines` for every label, in the order of first appearance."""
@@ -145,6 +153,8 @@ def read_lines(
     geographic: bool = True,
 ) -> Lines:
     """Read survey lines from a table (CSV, compressed or not) with one row a point; needs pandas (extra `survey`).
+
+    Rows without a position or a value are left out.
 
     Raises `MissingFileError`, `ReadError` for a file that is no table, and `UnknownVariableError` naming the columns that
     there are.
