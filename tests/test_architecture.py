@@ -76,3 +76,9 @@ def test_import_needs_numpy_alone():
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+def test_the_ellipsoid_is_the_cores_alone():
+    constant = re.compile(r"6_?378_?137|0\.006_?694")
+    for path in sorted((ROOT / "python").rglob("*.py")):
+        assert not constant.search(path.read_text(encoding="utf-8")), f"{path.relative_to(ROOT)}: ask the map"

@@ -135,6 +135,11 @@ def test_memory_stays_with_the_block_and_bits_do_not():
         (lambda d: blocks.blockwise(d, lambda v, x, y: {"a": v}, ["a"], block=0), "block"),
         (lambda d: blocks.position_bound(d[::-1]), "ascending"),
         (lambda d: blocks.position_bound(d, sigma=0.0), "sigma"),
+        (lambda d: blocks.position_bound(d, sigma=np.nan), "sigma: needed a finite number"),
+        (lambda d: blocks.position_bound(d, spacing_m=np.inf), "spacing_m: needed a finite number"),
+        (lambda d: blocks.position_bound(d, samples=-1), "samples: needed at least 2"),
+        (lambda d: blocks.position_bound(d, heading_deg=(0.0, np.nan)), "heading_deg: needed a finite number"),
+        (lambda d: blocks.position_bound(d, heading_deg=(5.0, 9.0, 5.0)), "headings that differ"),
         (lambda d: blocks.position_bound(d, heading_deg=()), "heading_deg"),
     ],
 )

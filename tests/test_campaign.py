@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -180,9 +181,112 @@ def test_a_folder_of_another_campaign_is_refused(plan, tmp_path):
     plan.run(METHOD, 10, folder=tmp_path)
     with pytest.raises(geomag.StateError, match="differs in methods"):
         plan.run(campaign.iema(sigma=2.0, half_width=2000.0), 10, folder=tmp_path)
-    next(iter(tmp_path.glob("*.npz"))).write_bytes(b"PK spoilt")
-    with pytest.raises(geomag.GeomagError, match="npz"):
+    for spoilt in (b"PK spoilt", b"PK\x03\x04 spoilt"):
+        next(iter(tmp_path.glob("*.npz"))).write_bytes(spoilt)
+        with pytest.raises(geomag.ReadError, match="npz"):
+            plan.run(METHOD, 10, folder=tmp_path)
+    (tmp_path / "campaign.json").write_text("[1]")
+    with pytest.raises(geomag.ReadError, match=r"campaign\.json"):
         plan.run(METHOD, 10, folder=tmp_path)
+
+
+def test_a_folder_knows_all_of_the_map(plan, tmp_path):
+    """Sigma, error model and the kind of coordinates change the rows as the values do."""
+    grid = plan.grid
+    values, x, y = grid.values[:20, :20], np.linspace(10.0, 11.0, 20), np.linspace(45.0, 46.0, 20)
+    flat = geomag.GridMap(values, x, y)
+    ones = np.ones(values.shape)
+    model = {"nu": 3.0, "scale_spread": 0.3, "correlation": 1.0, "registration": 0.1}
+    maps = [
+        flat,
+        geomag.GridMap(values, x, y, geographic=True),
+        geomag.GridMap(values, x, y, sigma=ones),
+        geomag.GridMap(values, x, y, sigma=2 * ones),
+        geomag.GridMap(values, x, y, sigma=ones).with_error_model(**model, distance_m=ones),
+        geomag.GridMap(values, x, y, sigma=ones).with_error_model(**model, distance_m=2 * ones),
+        geomag.GridMap(values.astype("f4"), x, y),
+        geomag.GridMap(values, x + 1e-9, y),
+    ]
+
+    def known(plan):
+        return campaign._Work(plan, {"method": METHOD}).fingerprint()["maps"]
+
+    assert len({known(campaign.Campaign(m)) for m in maps}) == len(maps)
+    assert len({known(campaign.Campaign(grid, truth=m)) for m in (None, *maps)}) == len(maps) + 1
+    crust = synthetic.Crust()
+    fields = [crust.draw((0, 0, 60_000, 50_000), seed=s) for s in (1, 2)]
+    assert len({known(campaign.Campaign(grid, truth=f)) for f in fields}) == 2
+    assert known(campaign.Campaign(geomag.GridMap(values, x, y))) == known(campaign.Campaign(flat))
+
+    told = geomag.GridMap(grid.values, grid.x, grid.y, sigma=np.full(grid.shape, 3.0))
+    plan.run(METHOD, 4, folder=tmp_path)
+    other = campaign.Campaign(told, plan.tracks, plan.ins, plan.sensor, seed=plan.seed)
+    with pytest.raises(geomag.StateError, match="differs in maps"):
+        other.run(METHOD, 4, folder=tmp_path)
+
+
+def by_msd(grid, track, half_width=2500.0):
+    return geomag.match_grid(grid, track, "msd", half_width=half_width)
+
+
+class ByMsd:
+    def __init__(self, half_width):
+        self.half_width = half_width
+
+    def __call__(self, grid, track):
+        return by_msd(grid, track, self.half_width)
+
+
+def test_a_folder_does_not_take_one_callable_for_another(plan, tmp_path):
+    pairs = [
+        (partial(geomag.match_grid, half_width=900.0), partial(geomag.match_grid, half_width=2500.0)),
+        (partial(by_msd, half_width=900.0), by_msd),
+        (ByMsd(900.0), ByMsd(2500.0)),
+        (ByMsd(900.0).__call__, ByMsd(2500.0).__call__),
+        (campaign.Keyed("narrow", lambda g, t: by_msd(g, t, 900.0)), campaign.Keyed("wide", by_msd)),
+    ]
+    for k, (one, other) in enumerate(pairs):
+        table = plan.run(one, 3, folder=tmp_path / str(k))
+        assert table.equals(plan.run(one, 3, folder=tmp_path / str(k)))
+        with pytest.raises(geomag.StateError, match="differs in methods"):
+            plan.run(other, 3, folder=tmp_path / str(k))
+    for unknown in (
+        lambda g, t: by_msd(g, t, 9.0),
+        partial(lambda g, t, w: by_msd(g, t, 9 * w), w=9.0),
+        ByMsd(lambda: 3),
+    ):
+        with pytest.raises(geomag.InvalidInputError, match="Keyed"):
+            plan.run(unknown, 3, folder=tmp_path / "unknown")
+    plan.run(lambda g, t: by_msd(g, t, 900.0), 1)  # without a folder there is nothing to take it for
+
+
+def test_a_folder_sees_that_a_function_was_edited(plan, tmp_path):
+    source = "import geomag\ndef f(grid, track):\n    return geomag.match_grid(grid, track, half_width={})\n"
+    functions = []
+    for half_width in (900.0, 2500.0):
+        space = {"__name__": "edited"}
+        exec(source.format(half_width), space)
+        functions.append(space["f"])
+    plan.run(functions[0], 3, folder=tmp_path)
+    with pytest.raises(geomag.StateError, match="differs in methods"):
+        plan.run(functions[1], 3, folder=tmp_path)
+
+
+def test_a_folder_gives_every_method_its_own_rows(plan, tmp_path):
+    methods = {"a": METHOD, "b": campaign.grid_search("msd", half_width=2500.0)}
+    plan.compare(methods, 5, folder=tmp_path)
+    with pytest.raises(geomag.StateError, match="differs in methods"):
+        plan.compare(dict(reversed(methods.items())), 5, folder=tmp_path)
+
+
+def test_options_from_numpy_are_numbers(plan, table, tmp_path):
+    method = campaign.iema(sigma=np.float32(1.0), half_width=np.int64(2000))
+    assert plan.run(method, np.int64(400)).equals(table)
+    options = {"starts": "indicated", "radius_m": np.float64(900.0)}
+    for _ in range(2):
+        plan.run(campaign.contour(**options, max_iterations=np.int64(9)), 2, folder=tmp_path)
+    with pytest.raises(geomag.InvalidInputError, match="options"):
+        plan.run(campaign.contour(radius_m=object()), 1)
 
 
 def test_progress_is_told(plan):
@@ -227,6 +331,44 @@ def test_a_broken_pool_says_so_and_a_new_one_goes_on(plan, tmp_path):
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         table = plan.run(method, 20, executor=pool, chunk=5, folder=tmp_path / "out")
     assert table.equals(plan.run(DieOnce(tmp_path / "flag"), 20))
+
+
+class Stubborn:
+    """A matcher that raises, and counts how often it was asked."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, grid, track):
+        self.calls += 1
+        raise ZeroDivisionError("of one's own")
+
+
+def test_what_a_matcher_raises_is_not_tried_again(plan):
+    method = Stubborn()
+    with ThreadPoolExecutor(1) as pool, pytest.raises(ZeroDivisionError, match="of one's own") as caught:
+        plan.run(method, 40, executor=pool, chunk=4)
+    assert any("trials 0 to 3" in note for note in caught.value.__notes__)
+    assert method.calls <= 10  # no chunk twice; some may have begun before they were called off
+
+
+class Stays(Exception):
+    """One that pickles and does not come back."""
+
+    def __init__(self, one, two):
+        super().__init__(f"{one} {two}")
+
+
+def stays(grid, track):
+    raise Stays("from", "a worker")
+
+
+def test_an_exception_that_does_not_travel_is_told_in_words(plan):
+    with (
+        ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool,
+        pytest.raises(geomag.GeomagError, match=r"trials 0 to 1 .*from a worker"),
+    ):
+        plan.run(stays, 4, executor=pool, chunk=2)
 
 
 long = pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
@@ -277,6 +419,10 @@ def test_dask_executor_interface(plan, table):
     [
         (lambda p: p.run(METHOD, 0), "trials"),
         (lambda p: p.run(METHOD, [1, 1]), "distinct"),
+        (lambda p: p.run(METHOD, 2.5), "whole number"),
+        (lambda p: p.flight(-1), "trials"),
+        (lambda p: p.run(METHOD, [0.5]), "whole number"),
+        (lambda p: campaign.iema(sigma=1, half_width="wide"), "pair"),
         (lambda p: p.run(METHOD, 5, chunk=0), "chunk"),
         (lambda p: p.run(METHOD, 5, executor=3), "executor"),
         (lambda p: p.compare({}, 5), "methods"),

@@ -157,6 +157,11 @@ def test_a_scalar_with_the_main_field(survey, capsys, kind):
         (["eval", "flat.json", "--at=1,2,3"], "frame"),
         (["eval", "model.json"], "--at"),
         (["eval", "model.json", "--at=1,2"], "3 numbers"),
+        (["fit", "words.csv", "--value", "word", "--main-field", "1,2,3", "--out", "m.json"], "numbers in column 'word'"),
+        (["fit", "words.csv", "--value", "latitude", "--latitude", "word", "--main-field", "1,2,3", "--out", "m.json"],
+         "numbers in column 'word'"),
+        (["fit", "words.csv", "--value", "latitude", "--height", "word", "--main-field", "1,2,3", "--out", "m.json"],
+         "numbers in column 'word'"),
         (["eval", "model.json", "--grid=3,1,0,1,0.1", "--out", "m.nc"], "west < east"),
         (["eval", "model.json", "--grid=140.55,140.65,-22.05,-21.95,0.01"], "--out"),
         (["eval", "model.json", "--grid=140.5,140.6,-22,-21.9,0.1", "--quantity", "anomaly", "--out", "m.nc"], "main_field"),
@@ -169,6 +174,7 @@ def test_bad_input_is_one_line_and_status_1(survey, capsys, monkeypatch, argumen
         0, 1e4, [0.0, 0.0, 1.0], region=[(-1.0, 1.0), (-1.0, 1.0), (0.0, 0.0)]
     )
     flat.to_json(folder / "flat.json")
+    (folder / "words.csv").write_text("latitude,longitude,word\n1,2,a\n2,3,b\n")
     monkeypatch.chdir(folder)
     status, out, err = call(capsys, "field", *arguments)
     assert status == 1

@@ -79,6 +79,118 @@ def test_kilometres_become_metres():
     assert not grid.geographic
 
 
+def projected(x_units, y_units, crs=None):
+    array = xr.DataArray(
+        np.eye(3), coords={"northing": [0.0, 1, 2], "easting": [5.0, 6, 7]}, dims=("northing", "easting")
+    )
+    for name, unit in (("easting", x_units), ("northing", y_units)):
+        if unit is not None:
+            array[name].attrs["units"] = unit
+    if crs is not None:
+        array.attrs["crs"] = crs
+    return array
+
+
+@pytest.mark.parametrize(
+    ("x_units", "y_units", "x_factor", "y_factor"),
+    [("km", "m", 1000.0, 1.0), ("metres", "kilometers", 1.0, 1000.0), ("ft", "ft", 0.3048, 0.3048),
+     ("US survey foot", "us-ft", 1200 / 3937, 1200 / 3937), (None, "km", 1.0, 1000.0)],
+)  # fmt: skip
+def test_every_axis_has_its_own_unit(x_units, y_units, x_factor, y_factor):
+    grid = geomag.GridMap.from_xarray(projected(x_units, y_units))
+    np.testing.assert_allclose(grid.x, np.array([5, 6, 7]) * x_factor)
+    np.testing.assert_allclose(grid.y, np.array([0, 1, 2]) * y_factor)
+
+
+@pytest.mark.parametrize(
+    ("x_units", "y_units", "geographic", "words"),
+    [("furlong", "furlong", None, "furlong"), ("m", "parsec", False, "parsec"),
+     ("degrees_east", "m", None, "both in metres"), ("degrees_east", "degrees_north", False, "degrees_east")],
+)  # fmt: skip
+def test_a_unit_that_is_no_length_is_refused(x_units, y_units, geographic, words):
+    with pytest.raises(geomag.InvalidInputError, match=words):
+        geomag.GridMap.from_xarray(projected(x_units, y_units), geographic=geographic)
+
+
+def test_words_are_no_coordinates():
+    array = xr.DataArray(np.eye(3), coords={"y": [0, 1, 2], "x": list("abc")}, dims=("y", "x"))
+    with pytest.raises(geomag.InvalidInputError, match="numbers as coordinates along 'x'"):
+        geomag.GridMap.from_xarray(array, geographic=False)
+
+
+def test_radians_are_no_degrees():
+    array = projected("radian", "radian").rename(easting="longitude", northing="latitude")
+    with pytest.raises(geomag.InvalidInputError, match="radian"):
+        geomag.GridMap.from_xarray(array)
+
+
+def tiff(path, crs, bands=1, **more):
+    rasterio = pytest.importorskip("rasterio", reason="needs the extra 'io'")
+    profile = {"driver": "GTiff", "height": 3, "width": 4, "count": bands, "dtype": "float32", "crs": crs}
+    with rasterio.open(
+        path, "w", transform=rasterio.transform.from_origin(1000, 2000, 10, 20), **profile | more
+    ) as out:
+        for k in range(bands):
+            out.write((np.arange(12).reshape(3, 4) + 100 * k).astype(out.dtypes[k]), k + 1)
+    return rasterio
+
+
+def places(x, y, crs):
+    pyproj = pytest.importorskip("pyproj", reason="needs the extra 'geo'")
+    return pyproj.Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(x, y)
+
+
+@pytest.mark.parametrize(
+    ("crs", "factor"),
+    [("EPSG:2263", 1200 / 3937), ("EPSG:2222", 0.3048), ("EPSG:2263+5703", 1200 / 3937),
+     ("+proj=utm +zone=16 +units=km", 1000.0), ("EPSG:32616", 1.0)],
+)  # fmt: skip
+def test_a_raster_in_other_units_comes_in_metres_with_its_crs(tmp_path, crs, factor):
+    tiff(tmp_path / "map.tif", crs)
+    x, y = 1005.0 + 10 * np.arange(4), 1950.0 + 20 * np.arange(3)
+    for geographic in (None, False):
+        grid = geomag.read_grid(tmp_path / "map.tif", geographic=geographic)
+        np.testing.assert_allclose(grid.x, x * factor)
+        np.testing.assert_allclose(grid.y, y * factor)
+        np.testing.assert_allclose(places(grid.x[:3], grid.y, grid.crs), places(x[:3], y, crs), atol=1e-9)
+    if factor == 1.0:
+        assert grid.crs == crs
+    array = projected("us-ft", "us-ft", "EPSG:2263")
+    grid = geomag.GridMap.from_xarray(array)
+    np.testing.assert_allclose(
+        places(grid.x, grid.y, grid.crs), places(array.easting, array.northing, "EPSG:2263"), atol=1e-9
+    )
+
+
+def test_a_raster_in_grads_is_refused(tmp_path):
+    tiff(tmp_path / "map.tif", "EPSG:4807")
+    with pytest.raises(geomag.InvalidInputError, match="grad"):
+        geomag.read_grid(tmp_path / "map.tif")
+
+
+def test_a_raster_of_several_bands_asks_which(tmp_path):
+    rasterio = tiff(tmp_path / "map.tif", "EPSG:32616", bands=2)
+    with rasterio.open(tmp_path / "map.tif", "r+") as out:
+        out.set_band_description(2, "anomaly")
+    for wrong in (None, "3"):
+        with pytest.raises(geomag.UnknownVariableError, match="1, 2, anomaly"):
+            geomag.read_grid(tmp_path / "map.tif", wrong)
+    for name in ("2", "anomaly"):
+        assert geomag.read_grid(tmp_path / "map.tif", name).values.min() == 100.0
+    (tmp_path / "map.csv").write_text("x_m,y_m,value\n" + "\n".join(f"{i},{j},1" for i in (0, 1) for j in (0, 1)))
+    with pytest.raises(geomag.InvalidInputError, match="variable"):
+        geomag.read_grid(tmp_path / "map.csv", "anomaly")
+
+
+def test_scale_offset_and_unit_of_a_raster(tmp_path):
+    rasterio = tiff(tmp_path / "map.tif", "EPSG:32616", dtype="int16")
+    with rasterio.open(tmp_path / "map.tif", "r+") as out:
+        out.scales, out.offsets, out.units = (0.1,), (48_000.0,), ("nT",)
+    grid = geomag.read_grid(tmp_path / "map.tif")
+    np.testing.assert_allclose(grid.values[::-1], 48_000 + 0.1 * np.arange(12).reshape(3, 4))
+    assert grid.units == "nT"
+
+
 def test_unknown_units_are_asked_for():
     array = xr.DataArray(np.eye(3), coords={"b": [0.0, 1, 2], "a": [5.0, 6, 7]}, dims=("b", "a"))
     with pytest.raises(geomag.InvalidInputError, match="geographic=True or geographic=False"):

@@ -81,7 +81,7 @@ def test_page_is_whole_and_self_contained(scene, tmp_path):
 def test_page_of_no_fix_says_so(scene, tmp_path):
     _, grid, flight = scene
     fix = geomag.Iema(grid, sigma=1e-6, half_width=600.0).run(flight.track)
-    page = Page(match_report(tmp_path / "lost.html", grid, flight.track, fix).read_text(encoding="utf-8"))
+    page = Page(match_report(tmp_path / "new" / "lost.html", grid, flight.track, fix).read_text(encoding="utf-8"))
     words = " ".join(page.words)
     assert "No fix: no candidate agrees with the readings." in words
     assert "is to be moved" not in words
@@ -183,37 +183,6 @@ def test_stream_answers_line_by_line(scene):
     assert process.wait(30) in (0, 3)
 
 
-def test_nmea_gives_the_samples():
-    from geomag.stream import read_nmea
-
-    def sentence(body):
-        checksum = 0
-        for byte in body.encode():
-            checksum ^= byte
-        return f"${body}*{checksum:02X}"
-
-    lines = [
-        sentence("GPGGA,120030.50,4807.0380,N,01131.0000,W,1,08,0.9,545.4,M,46.9,M,,"), sentence("PGMAG,48123.5"),
-        sentence("GPGSV,1,1,00"), sentence("GPRMC,120031,A,3351.6500,S,15112.6000,E,0,0,010126,,"),
-        sentence("PGMAG,-12.25"), "noise",
-    ]  # fmt: skip
-    first, second = read_nmea(lines)
-    assert (first.x, first.y, first.value) == pytest.approx((-(11 + 31 / 60), 48 + 7.038 / 60, 48123.5))
-    assert first.time_s == pytest.approx(12 * 3600 + 30.5)
-    assert (second.x, second.y) == pytest.approx((151 + 12.6 / 60, -(33 + 51.65 / 60)))
-    with pytest.raises(geomag.InvalidInputError, match="line 1: needed checksum"):
-        list(read_nmea(["$PGMAG,1.0*00"]))
-
-
-def test_csv_refuses_by_line():
-    from geomag.stream import read_csv
-
-    assert [s.value for s in read_csv(["x,y,value", "1,2,3", "# note", "0,1,2,4"])] == [3.0, 4.0]
-    for bad in ("1,2", "1,2,nan", "a,b,c"):
-        with pytest.raises(geomag.InvalidInputError, match="line 2"):
-            list(read_csv(["1,2,3", bad]))
-
-
 def test_geojson_is_longitude_and_latitude(scene, tmp_path):
     pytest.importorskip("pyproj")
     _, grid, flight = scene
@@ -226,7 +195,7 @@ def test_geojson_is_longitude_and_latitude(scene, tmp_path):
     assert -180 <= longitude <= 180
     assert 0 <= latitude < 1
     assert found["features"][1]["properties"]["status"] == "fixed"
-    json.loads(exchange.write_geojson(tmp_path / "a.geojson", {"fix": fix}, crs=grid.crs).read_text())
+    json.loads(exchange.write_geojson(tmp_path / "new" / "a.geojson", {"fix": fix}, crs=grid.crs).read_text())
     lost = geomag.Iema(grid, sigma=1e-6, half_width=600.0).run(flight.track)
     assert exchange.geojson({"fix": lost}, crs=grid.crs)["features"][0]["geometry"] is None
 
@@ -239,8 +208,13 @@ def test_geopackage_round_trip(scene, tmp_path):
     back = exchange.read_geopackage_track(path, crs=grid.crs, time="time_s")
     np.testing.assert_allclose(back.x, flight.track.x, atol=1e-2)
     np.testing.assert_allclose(back.values, flight.track.values)
+    assert np.array_equal(exchange.read_geopackage_track(path).time_s, flight.track.time_s)
     both = exchange.write_geopackage(tmp_path / "b.gpkg", {"log": flight.track, "more": other}, crs=grid.crs)
-    assert len(exchange.read_geopackage_track(both, crs=grid.crs)) == len(flight.track) + 5
+    assert len(exchange.read_geopackage_track(both, crs=grid.crs, track="log")) == len(flight.track)
+    assert len(exchange.read_geopackage_track(both, crs=grid.crs, track="more")) == 5
+    for wrong in (None, "less"):
+        with pytest.raises(geomag.UnknownVariableError, match="log, more"):
+            exchange.read_geopackage_track(both, crs=grid.crs, track=wrong)
     with pytest.raises(geomag.GeomagError, match="layer 'none'"):
         exchange.read_geopackage_track(path, layer="none")
 
@@ -254,8 +228,18 @@ def test_pandas_round_trip(scene):
         assert np.array_equal(getattr(back, name), getattr(track, name))
     stamped = frame.assign(when=pandas.Timestamp("2026-01-01", tz="UTC") + pandas.to_timedelta(frame.time_s, unit="s"))
     assert np.allclose(exchange.track_from_pandas(stamped, time="when").time_s, track.time_s)
+    assert np.array_equal(exchange.track_from_pandas(frame).time_s, track.time_s)
     with pytest.raises(geomag.UnknownVariableError, match="'nt'"):
         exchange.track_from_pandas(frame, value="nt")
+    with pytest.raises(geomag.TooFewSamplesError):
+        exchange.track_from_pandas(stamped.iloc[:0], time="when")
+
+
+def test_a_track_comes_from_pandas_in_one_way():
+    from geomag import io
+
+    assert exchange.track_from_pandas is io.track_from_pandas
+    assert exchange.track_to_pandas is io.track_to_pandas
 
 
 def test_accessor_does_what_the_functions_do(scene):

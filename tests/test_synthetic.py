@@ -21,6 +21,17 @@ def path():
     return synthetic.Path.straight((8_000, 6_000), course_deg=60, speed_m_s=60, interval_s=10, samples=41)
 
 
+@pytest.mark.parametrize("seed", [-1, 2**64, 0.5, "one"])
+def test_a_seed_that_is_none_is_refused(field, path, seed):
+    for draw in (
+        lambda: synthetic.Crust().draw(EXTENT, seed=seed),
+        lambda: synthetic.InsSpread().draw(seed),
+        lambda: synthetic.fly(field, path, seed=seed),
+    ):
+        with pytest.raises(geomag.InvalidInputError, match="seed"):
+            draw()
+
+
 def test_same_seed_same_bits(field, path):
     again = synthetic.Crust().draw(EXTENT, seed=7)
     other = synthetic.Crust().draw(EXTENT, seed=8)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geomag._errors import InvalidInputError, ShapeError
+from geomag._errors import InvalidInputError, NotFiniteError, ShapeError
 from geomag._geomag import bound_block, bound_reach
 from geomag._optional import require
 
@@ -249,11 +249,19 @@ def position_bound(
     spacing = (float(x[-1] - x[0]) / (x.size - 1), float(y[-1] - y[0]) / (y.size - 1))
     if min(spacing) <= 0:
         raise InvalidInputError(f"map: needed ascending axes, got spacings {spacing}; sort the array first")
+    told = {"spacing_m": spacing_m, "sigma": sigma, "map_error_m": map_error_m, "tolerance_m": tolerance_m}
+    for name, value in (*told.items(), *(("heading_deg", h) for h in heading_deg)):
+        if not np.isfinite(value):
+            raise NotFiniteError(f"{name}: needed a finite number, got {value}")
+    if samples < 2:
+        raise InvalidInputError(f"samples: needed at least 2, got {samples}")
     track = {"heading_deg": [float(h) for h in heading_deg], "samples": int(samples), "spacing_m": float(spacing_m)}
     errors = {"sigma": float(sigma), "map_error_m": float(map_error_m), "free_level": bool(free_level)}
     options = json.dumps({**track, **errors, "tolerance_m": float(tolerance_m)})
     halo = bound_reach(options, spacing, geographic, float(np.abs(y).max()) if geographic else 0.0)
     names = _Bound.names([float(h) for h in heading_deg])
+    if len(set(names)) != len(names):
+        raise InvalidInputError(f"heading_deg: needed headings that differ in six digits, got {list(heading_deg)}")
     units = {name: {"units": "m" if name.startswith("error") else "1"} for name in names}
     function = _Bound(options, [float(h) for h in heading_deg], spacing, geographic)
     return blockwise(data, function, names, halo=halo, block=block, attributes=units, progress=progress)

@@ -24,11 +24,18 @@ import hashlib
 import json
 import math
 import os
+import pickle
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import traceback
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from dataclasses import dataclass, field
+from functools import partial
+from operator import index
 from pathlib import Path as FilePath
+from types import CodeType, FunctionType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -38,13 +45,14 @@ from geomag._errors import GeomagError, InvalidInputError, ReadError, StateError
 from geomag._geomag import Fix, GridMap, Path, SyntheticField, Track, __version__, campaign_flight, campaign_rows
 from geomag._optional import require
 from geomag._statistics import binomial_interval
-from geomag.synthetic import Flight, InsSpread, Sensor, _as_dict
+from geomag.synthetic import Flight, InsSpread, Sensor, _as_dict, _seed
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
-__all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema", "posterior"]
+__all__ = ["Campaign", "Keyed", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema",
+           "posterior"]  # fmt: skip
 
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
@@ -83,11 +91,43 @@ class Method:
         return {self.kind: dict(self.options)}
 
 
+@dataclass(frozen=True)
+class Keyed:
+    """A matcher of one's own under a key that stands for it in a folder of results.
+
+    For lambdas, closures and whatever else cannot be told from its like. The key is to change when the answers do.
+
+    >>> from geomag import campaign, match_grid
+    >>> method = campaign.Keyed("msd, 900 m", lambda grid, track: match_grid(grid, track, half_width=900.0))
+    """
+
+    key: str
+    matcher: Matcher
+
+    def __call__(self, grid: GridMap, track: Track) -> Fix:
+        """Match, as the matcher does."""
+        return self.matcher(grid, track)
+
+
 def _pair(value: float | Sequence[float]) -> list[float]:
-    pair = [float(value)] * 2 if isinstance(value, (int, float)) else [float(v) for v in value]
-    if len(pair) != 2 or not all(math.isfinite(v) for v in pair):
+    try:
+        pair = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        pair = np.empty(0)
+    if pair.shape not in ((), (2,)) or not np.isfinite(pair).all():
         raise InvalidInputError(f"needed a finite number or a pair (x, y), got {value!r}")
-    return pair
+    return [float(v) for v in np.broadcast_to(pair, 2)]
+
+
+def _json_of(name: str, options: Mapping[str, Any]) -> str:
+    """Options as JSON; NumPy's numbers and arrays as plain ones."""
+
+    def plain(value: object) -> object:
+        if isinstance(value, (np.ndarray, np.generic)):
+            return value.tolist()
+        raise InvalidInputError(f"method {name!r}: needed options that are numbers, words or arrays, got {value!r}")
+
+    return json.dumps(dict(options), default=plain)
 
 
 def iema(
@@ -314,20 +354,19 @@ class Campaign:
     truth: GridMap | SyntheticField | None = None
 
     def _json(self) -> str:
-        if not (isinstance(self.seed, int) and 0 <= self.seed < 2**64):
-            raise InvalidInputError(f"seed: needed a whole number in [0, 2^64), got {self.seed!r}")
         if isinstance(self.tracks, Path):
             path = self.tracks
             points = {"x": path.x.tolist(), "y": path.y.tolist(), "time_s": path.time_s.tolist()}
             tracks: dict[str, Any] = {"fixed": {**points, "geographic": path.geographic}}
         else:
             tracks = {"random": _as_dict(self.tracks)}
-        plan = {"seed": self.seed, "tracks": tracks, "ins": _as_dict(self.ins), "sensor": _as_dict(self.sensor)}
+        plan = {"seed": _seed(self.seed), "tracks": tracks, "ins": _as_dict(self.ins), "sensor": _as_dict(self.sensor)}
         return json.dumps(plan)
 
     def flight(self, trial: int) -> Flight:
         """Return the flight of one trial: true path, indicated track, true field."""
-        path, track, truth = campaign_flight(self.grid, self.truth, self._json(), trial)
+        (number,) = _numbers([trial])
+        path, track, truth = campaign_flight(self.grid, self.truth, self._json(), number)
         return Flight(path, track, truth)
 
     def run(
@@ -351,7 +390,9 @@ class Campaign:
         executor : a `concurrent.futures.Executor` or a `distributed.Client`; this process where not given.
             Chunks whose worker dies are given out again.
         chunk : trials handed out at a time.
-        folder : where finished chunks are kept; a run that was interrupted goes on from there.
+        folder : where finished chunks are kept; a run that was interrupted goes on from there. A matcher of one's own
+            is known again by its name, code and arguments, but not by what it reads or calls elsewhere; lambdas and
+            closures need a `Keyed`.
         threads : threads a process uses for geomag's own matchers; all cores by default, one a worker with an executor.
         progress : True for a bar with the time to go, or a callable (done, total).
         retries : how often a chunk whose worker died is given out again.
@@ -360,6 +401,8 @@ class Campaign:
         ------
         StateError
             Where `folder` holds another campaign.
+
+        What a matcher raises ends the run at once, in a worker as here: it would raise again.
         """
         return self.compare({"method": method}, trials, executor=executor, chunk=chunk, folder=folder, threads=threads,
                             progress=progress, retries=retries)["method"]  # fmt: skip
@@ -422,7 +465,10 @@ _Part = list[dict[str, "NDArray[Any]"]]
 
 
 def _numbers(trials: int | Sequence[int]) -> list[int]:
-    numbers = list(range(trials)) if isinstance(trials, int) else [int(t) for t in trials]
+    try:
+        numbers = [index(t) for t in (trials if isinstance(trials, Iterable) else range(index(trials)))]
+    except TypeError as error:
+        raise InvalidInputError(f"trials: needed a whole number, or several, got {trials!r}") from error
     if not numbers:
         raise InvalidInputError("trials: needed at least one, got none")
     if min(numbers) < 0 or len(set(numbers)) != len(numbers):
@@ -446,15 +492,12 @@ class _Work:
     def fingerprint(self) -> dict[str, Any]:
         """What a folder of results must have been made with."""
         digest = hashlib.sha256()
-        for array in (self.campaign.grid.values, self.campaign.grid.x, self.campaign.grid.y):
-            digest.update(np.ascontiguousarray(array).tobytes())
-        if isinstance(self.campaign.truth, SyntheticField):
-            x, y = np.meshgrid(self.campaign.grid.x[::7], self.campaign.grid.y[::7])
-            digest.update(np.ascontiguousarray(self.campaign.truth.sample(x, y)).tobytes())
-        elif self.campaign.truth is not None:
-            digest.update(np.ascontiguousarray(self.campaign.truth.values).tobytes())
-        named = {n: m.to_dict() if isinstance(m, Method) else _name_of(m) for n, m in self.methods.items()}
+        for source in (self.campaign.grid, self.campaign.truth):
+            # What a pickle is made of is all that answers can depend on: sigma, error model and coordinates too.
+            _feed(digest, None if source is None else source.__reduce__()[1])
         plan = json.loads(self.campaign._json())
+        # A list, because the rows of the methods are stored in this order.
+        named = [[name, _identity(name, method)] for name, method in self.methods.items()]
         return {"geomag": __version__, "campaign": plan, "methods": named, "maps": digest.hexdigest()}
 
     def __call__(
@@ -464,7 +507,7 @@ class _Work:
         ours = {name: m for name, m in self.methods.items() if isinstance(m, Method)}
         rows: dict[str, dict[str, Any]] = {}
         if ours:
-            methods = [(m.kind, json.dumps(dict(m.options)), dict(m.options)) for m in ours.values()]
+            methods = [(m.kind, _json_of(name, m.options), dict(m.options)) for name, m in ours.items()]
             done = campaign_rows(plan.grid, plan.truth, plan._json(), methods, list(trials), threads, progress)
             rows.update(zip(ours, done, strict=True))
         theirs = {name: m for name, m in self.methods.items() if not isinstance(m, Method)}
@@ -473,8 +516,67 @@ class _Work:
         return [rows[name] for name in self.methods]
 
 
-def _name_of(matcher: Matcher) -> str:
-    return f"{getattr(matcher, '__module__', '')}.{getattr(matcher, '__qualname__', type(matcher).__qualname__)}"
+def _feed(digest: Any, value: object) -> None:  # noqa: ANN401 - hashlib's type has no public name
+    """Add a value to a digest, kinds and lengths included, so that no two values run together."""
+    digest.update(type(value).__name__.encode())
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype.str}{value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, (tuple, list)):
+        digest.update(str(len(value)).encode())
+        for item in value:
+            _feed(digest, item)
+    elif isinstance(value, Mapping):
+        _feed(digest, sorted(value.items()))
+    elif isinstance(value, bytes):
+        digest.update(f"{len(value)}:".encode())
+        digest.update(value)
+    elif isinstance(value, frozenset):  # of constants; its order changes from run to run
+        _feed(digest, sorted(map(repr, value)))
+    elif isinstance(value, CodeType):
+        _feed(digest, (value.co_code, value.co_names, value.co_consts))
+    else:
+        digest.update(f"{value!r};".encode())
+
+
+def _digest(value: object) -> str:
+    digest = hashlib.sha256()
+    _feed(digest, value)
+    return digest.hexdigest()
+
+
+def _identity(name: str, matcher: object) -> object:
+    """What a method is known by in a folder of results, plain values."""
+    if isinstance(matcher, Method):
+        return {matcher.kind: json.loads(_json_of(name, matcher.options))}
+    if isinstance(matcher, Keyed):
+        return {"key": matcher.key}
+    if isinstance(matcher, partial):
+        inner = _identity(name, matcher.func)
+        return {"partial": inner, "arguments": _pickled(name, (matcher.args, sorted(matcher.keywords.items())))}
+    if isinstance(matcher, FunctionType):
+        if "<" in matcher.__qualname__ or matcher.__closure__:
+            raise _unknown(name, matcher, "one of many that its name may stand for")
+        code = _digest(matcher.__code__)
+        defaults = _pickled(name, (matcher.__defaults__, matcher.__kwdefaults__))
+        return {"function": f"{matcher.__module__}.{matcher.__qualname__}", "code": code, "defaults": defaults}
+    call = getattr(matcher, "__func__", None) or vars(type(matcher)).get("__call__")
+    code = _digest(call.__code__) if isinstance(call, FunctionType) else ""
+    return {"object": type(matcher).__qualname__, "code": code, "state": _pickled(name, matcher)}
+
+
+def _pickled(name: str, value: object) -> str:
+    try:
+        return hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise _unknown(name, value, str(error)) from error
+
+
+def _unknown(name: str, matcher: object, why: str) -> InvalidInputError:
+    return InvalidInputError(
+        f"method {name!r}: needed, to be known again in a folder, a function of a module, a partial of one, a callable "
+        f"object that pickles, or campaign.Keyed(key, matcher), got {matcher!r} ({why})"
+    )
 
 
 def _run_in_python(plan: Campaign, methods: Mapping[str, Matcher], trials: Sequence[int]) -> dict[str, dict[str, Any]]:
@@ -524,9 +626,24 @@ def _row(grid: GridMap, flight: Flight, fix: Fix, at: int, trial: int) -> dict[s
     }  # fmt: skip
 
 
-def _call(work: _Work, trials: Sequence[int], threads: int) -> _Part:
+@dataclass(frozen=True)
+class _Raised:
+    """What the work itself raised in a worker: told apart from a worker's death, which another attempt may mend."""
+
+    error: Exception
+
+
+def _call(work: _Work, trials: Sequence[int], threads: int) -> _Part | _Raised:
     """Run in a worker."""
-    return work(trials, threads)
+    try:
+        return work(trials, threads)
+    except Exception as error:
+        error.add_note(f"in trials {trials[0]} to {trials[-1]} of a campaign:\n{traceback.format_exc()}")
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:  # an exception that does not travel: its words do
+            return _Raised(GeomagError(f"campaign: trials {trials[0]} to {trials[-1]} failed ({error!r})"))
+        return _Raised(error.with_traceback(None))
 
 
 def _keep(work: _Work) -> _Work:
@@ -560,27 +677,31 @@ def _distribute(
     attempts = dict.fromkeys(left, 0)
     waiting: dict[Any, int] = {submit(i): i for i in left}
     completed = _dask_completed(waiting) if on_dask else _completed(waiting)
-    for future in completed:
-        i = waiting.pop(future)
-        try:
-            part = future.result()
-        except GeomagError:
-            raise
-        except Exception as error:
-            attempts[i] += 1
-            if attempts[i] > retries:
-                raise GeomagError(
-                    f"campaign: trials {chunks[i][0]} to {chunks[i][-1]} failed {attempts[i]} times ({error!r})"
-                ) from error
+    try:
+        for future in completed:
+            i = waiting.pop(future)
             try:
-                waiting[submit(i)] = i
-            except RuntimeError as broken:
-                raise GeomagError(
-                    f"campaign: the executor takes no more work ({broken}); finished chunks are kept where a folder "
-                    "was given, and a new run with a new executor goes on from there"
-                ) from error
-            continue
-        finished(i, part)
+                part = future.result()
+            except Exception as error:
+                attempts[i] += 1
+                if attempts[i] > retries:
+                    raise GeomagError(
+                        f"campaign: trials {chunks[i][0]} to {chunks[i][-1]} failed {attempts[i]} times ({error!r})"
+                    ) from error
+                try:
+                    waiting[submit(i)] = i
+                except RuntimeError as broken:
+                    raise GeomagError(
+                        f"campaign: the executor takes no more work ({broken}); finished chunks are kept where a folder "
+                        "was given, and a new run with a new executor goes on from there"
+                    ) from error
+                continue
+            if isinstance(part, _Raised):
+                raise part.error
+            finished(i, part)
+    finally:
+        for future in waiting:
+            future.cancel()
 
 
 def _completed(waiting: Mapping[Any, int]) -> Iterator[Any]:
@@ -608,6 +729,8 @@ class _Store:
                 held = json.loads(plan.read_text(encoding="utf-8"))
             except (OSError, ValueError) as error:
                 raise ReadError(f"{plan}: needed a campaign's settings, got something unreadable ({error})") from error
+            if not isinstance(held, dict):
+                raise ReadError(f"{plan}: needed a campaign's settings, got {type(held).__name__}")
             if held != fingerprint:
                 changed = sorted(k for k in {*held, *fingerprint} if held.get(k) != fingerprint.get(k))
                 raise StateError(
@@ -636,7 +759,7 @@ class _Store:
                 return [
                     {n.split("/", 1)[1]: held[n] for n in held.files if n.startswith(f"{k}/")} for k in range(count)
                 ]
-        except (OSError, ValueError, EOFError) as error:
+        except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise ReadError(f"{path}: needed rows of a campaign, got something unreadable ({error})") from error
 
     def save(self, trials: tuple[int, ...], part: _Part) -> None:

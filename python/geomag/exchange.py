@@ -18,6 +18,7 @@ import numpy as np
 from geomag._errors import InvalidInputError, MissingFileError, ReadError, UnknownVariableError
 from geomag._geomag import Fix, Track
 from geomag._optional import require
+from geomag.io import track_from_pandas, track_to_pandas
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,42 +28,6 @@ __all__ = ["fixes_to_pandas", "geojson", "read_geopackage_track", "track_from_pa
            "write_geojson", "write_geopackage"]  # fmt: skip
 
 _WGS84 = "EPSG:4326"
-
-
-def track_from_pandas(
-    frame: pd.DataFrame, *, x: str = "x", y: str = "y", value: str = "value", time: str | None = None
-) -> Track:
-    """Return a `Track` from the columns of a data frame.
-
-    `time` may hold seconds or time stamps; time stamps become seconds from the first.
-
-    Raises
-    ------
-    UnknownVariableError
-        For a column that the frame does not have.
-    """
-    for column in (x, y, value, *(() if time is None else (time,))):
-        if column not in frame.columns:
-            held = ", ".join(map(str, frame.columns))
-            raise UnknownVariableError(f"column '{column}': needed one of {held}")
-    seconds = None
-    if time is not None:
-        stamps = frame[time]
-        if getattr(stamps.dtype, "kind", "") == "M":
-            seconds = (stamps - stamps.iloc[0]).dt.total_seconds().to_numpy()
-        else:
-            seconds = stamps.to_numpy(dtype=np.float64)
-    xs, ys, values = (frame[c].to_numpy(dtype=np.float64) for c in (x, y, value))
-    return Track(xs, ys, values, seconds)
-
-
-def track_to_pandas(track: Track) -> pd.DataFrame:
-    """Return a data frame with the columns x, y, value and, where they are known, time_s."""
-    pandas = require("pandas", "io", "tracks as data frames")
-    columns = {"x": track.x, "y": track.y, "value": track.values}
-    if track.time_s is not None:
-        columns["time_s"] = track.time_s
-    return cast("pd.DataFrame", pandas.DataFrame(columns))
 
 
 def _flat(fix: Fix) -> dict[str, Any]:
@@ -159,6 +124,7 @@ def geojson(items: Mapping[str, object], *, crs: str | None = None) -> dict[str,
 def write_geojson(path: str | PathLike[str], items: Mapping[str, object], *, crs: str | None = None) -> Path:
     """Write tracks, paths and fixes as a GeoJSON file; arguments as `geojson`."""
     target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(json.dumps(geojson(items, crs=crs), allow_nan=False) + "\n", encoding="utf-8")
     return target
 
@@ -170,6 +136,7 @@ def write_geopackage(path: str | PathLike[str], items: Mapping[str, object], *, 
     """
     geopandas = require("geopandas", "geo", "GeoPackage files")
     target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
     collection = geojson(items, crs=crs)["features"]
     for layer, chosen in (("fixes", {"fix"}), ("tracks", {"track", "corrected track"})):
         part = [f for f in collection if f["properties"]["role"] in chosen and f["geometry"] is not None]
@@ -193,13 +160,15 @@ def read_geopackage_track(
     path: str | PathLike[str],
     *,
     layer: str = "samples",
+    track: str | None = None,
     value: str = "value",
     time: str | None = None,
     crs: str | None = None,
 ) -> Track:
     """Return a `Track` from a layer of points (GeoPackage, GeoJSON, anything that geopandas reads).
 
-    Coordinates are turned into `crs`, the map's own, or into longitude and latitude where it is None.
+    Coordinates are turned into `crs`, the map's own, or into longitude and latitude where it is None. `track` is the name of
+    one, needed where `write_geopackage` wrote several into the layer: end to end they are no track.
     """
     geopandas = require("geopandas", "geo", "vector files")
     source = Path(path)
@@ -214,5 +183,12 @@ def read_geopackage_track(
     if not (frame.geometry.geom_type == "Point").all():
         kinds = ", ".join(sorted(set(frame.geometry.geom_type)))
         raise ReadError(f"{source}, layer '{layer}': needed points, got {kinds}")
+    if track is not None or "track" in frame.columns:
+        names = list(map(str, dict.fromkeys(frame["track"]))) if "track" in frame.columns else []
+        if (track is None and len(names) > 1) or (track is not None and track not in names):
+            raise UnknownVariableError(
+                f"{source}, layer '{layer}': needed track= for one of its tracks {', '.join(names)}, got {track}"
+            )
+        frame = frame if track is None else frame[frame["track"].astype(str) == track]
     plain = frame.drop(columns=frame.geometry.name).assign(x=frame.geometry.x, y=frame.geometry.y)
-    return track_from_pandas(plain, value=value, time=time)
+    return track_from_pandas(plain, "x", "y", value, time=time, where=f"{source}, layer '{layer}'")

@@ -7,6 +7,8 @@ pandas. `pip install 'geomag-nav[io]'` brings them.
 from __future__ import annotations
 
 import csv
+import json
+import math
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -45,6 +47,14 @@ _VALUE_NAMES = (
     "bouguer_anomaly_mgal",
     "anomaly_mgal",
 )
+#: Metres in a unit, as files name it (lower case, blanks as underscores).
+_METRES = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
+    **dict.fromkeys(("ft", "foot", "feet", "international_foot", "international_feet"), 0.3048),
+    **dict.fromkeys(("us-ft", "ftus", "us_ft", "us_survey_foot", "us_survey_feet", "survey_foot"), 1200.0 / 3937.0),
+    **dict.fromkeys(("nmi", "nautical_mile", "nautical_miles"), 1852.0),
+}
 _TIME_NAMES = ("time_s", "time", "t", "seconds", "datetime", "timestamp")
 
 
@@ -61,11 +71,11 @@ def _is_geographic(names: Sequence[str | None], units: Sequence[str | None], crs
     """Whether coordinates are degrees, from what the file says; never from their size alone."""
     if crs is not None:
         return bool(getattr(crs, "is_geographic", False))
-    texts = [u.lower() for u in units if u]
-    if any(u.startswith("degree") or u in ("deg", "degrees") for u in texts):
-        return True
-    if any(u in ("m", "metre", "metres", "meter", "meters", "km") for u in texts):
-        return False
+    degrees = [_is_degree(u) for u in units if u]
+    if degrees:
+        if any(degrees) and not all(degrees):
+            raise InvalidInputError(f"{where}: needed x and y in degrees, or both in metres, got units {units}")
+        return all(degrees)
     lowered = {n.lower() for n in names if n}
     if lowered & _GEOGRAPHIC_NAMES:
         return True
@@ -75,6 +85,40 @@ def _is_geographic(names: Sequence[str | None], units: Sequence[str | None], crs
         f"{where}: needed to know whether its coordinates are degrees or metres, got neither units nor names that say "
         "so; pass geographic=True or geographic=False"
     )
+
+
+def _is_degree(unit: str) -> bool:
+    return unit.strip().lower().startswith(("deg", "°"))
+
+
+def _metres(unit: str | None, where: str) -> float:
+    """Metres in a coordinate's unit; without one it is metres."""
+    if unit is None or not unit.strip():
+        return 1.0
+    try:
+        return _METRES[unit.strip().lower().replace(" ", "_")]
+    except KeyError:
+        raise InvalidInputError(
+            f"{where}: needed coordinates in metres, kilometres, feet, survey feet or nautical miles, got {unit!r}"
+        ) from None
+
+
+def _metric_crs(crs: Any) -> Any:  # noqa: ANN401 - rasterio's
+    """The same coordinate reference system with coordinates in metres."""
+
+    def turned(node: dict[str, Any]) -> dict[str, Any]:
+        node = {k: v for k, v in node.items() if k != "id"} | {"name": f"{node.get('name', 'unnamed')}, in metres"}
+        if "components" in node:
+            node["components"] = [turned(node["components"][0]), *node["components"][1:]]
+        if "source_crs" in node:
+            node["source_crs"] = turned(node["source_crs"])
+        if "coordinate_system" in node:
+            system = {k: v for k, v in node["coordinate_system"].items() if k != "id"}
+            axes = [{k: v for k, v in axis.items() if k != "id"} | {"unit": "metre"} for axis in system["axis"]]
+            node["coordinate_system"] = system | {"axis": axes}
+        return node
+
+    return type(crs).from_string(json.dumps(turned(crs.to_dict(projjson=True))))
 
 
 def read_grid(
@@ -91,7 +135,8 @@ def read_grid(
     ----------
     path : netCDF, GeoTIFF, Surfer .grd (6 text, 6 and 7 binary), GXF, Oasis montaj .grd, or text with x, y, value.
         The kind is found from the file's first bytes, not from its name.
-    variable : which variable of a netCDF file; needed where it has several fields.
+    variable : which variable of a netCDF file, or which band of a raster (its number or description); needed where
+        there are several.
     geographic : whether coordinates are degrees of longitude and latitude. By default what the file says (coordinate
         reference system, units, names); where it says nothing, this must be given.
     sigma : standard deviation of the values: a number, or the name of a netCDF variable on the same grid.
@@ -100,7 +145,8 @@ def read_grid(
     Returns
     -------
     GridMap
-        Both axes ascending, holes as NaN, float32 or float64 as in the file; kilometres are turned to metres.
+        Both axes ascending, holes as NaN, float32 or float64 as in the file; kilometres, feet and other units of
+        length are turned to metres, and the coordinate reference system with them.
 
     Raises
     ------
@@ -110,12 +156,16 @@ def read_grid(
     with path.open("rb") as file:
         head = file.read(512)
     if head[:3] == b"CDF" or head[:4] == b"\x89HDF":
+        if columns is not None:
+            raise InvalidInputError(f"columns: needed none for netCDF, which has variables, got {columns}")
         return _read_netcdf(path, variable, geographic, sigma)
     constant = None if sigma is None else _number("sigma", sigma)
     if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+") or head[:4] in (b"DSAA", b"DSBB", b"DSRB"):
-        return _read_raster(path, geographic, constant)
+        return _read_raster(path, variable, geographic, constant)
     if path.suffix.lower() == ".gxf" or b"#GRID" in head or b"#POINTS" in head:
-        return _read_raster(path, geographic, constant)
+        return _read_raster(path, variable, geographic, constant)
+    if variable is not None:
+        raise InvalidInputError(f"variable: needed none for this kind of file, which has one field, got '{variable}'")
     if _looks_like_oasis(head):
         return _read_oasis(path, geographic, constant)
     if b"\0" in head:
@@ -177,12 +227,18 @@ def grid_from_xarray(
         if dim not in array.coords:
             raise InvalidInputError(f"{where}: needed coordinates along '{dim}', got none")
     x, y = np.asarray(array[x_name]), np.asarray(array[y_name])
-    units = [array[d].attrs.get("units") for d in (x_name, y_name)]
+    for dim, axis in ((x_name, x), (y_name, y)):
+        if axis.dtype.kind not in "iuf":
+            raise InvalidInputError(f"{where}: needed numbers as coordinates along '{dim}', got {axis.dtype}")
+    units = [None if (u := array[d].attrs.get("units")) is None else str(u) for d in (x_name, y_name)]
     crs = data_array.attrs.get("crs")
     if geographic is None:
         geographic = _is_geographic((x_name, y_name), units, None, where)
-    if not geographic and "km" in units:
-        x, y = x * 1000.0, y * 1000.0
+    if not geographic:
+        factors = [_metres(u, f"{where}, '{d}'") for d, u in zip((x_name, y_name), units, strict=True)]
+        x, y = x * factors[0], y * factors[1]
+        if crs is not None and factors != [1.0, 1.0]:
+            crs = _metric_text(str(crs))
     values = np.asarray(array)
     if values.dtype not in (np.float32, np.float64):
         values = values.astype(np.float64)
@@ -203,6 +259,16 @@ def grid_from_xarray(
     )
 
 
+def _metric_text(text: str) -> str:
+    """`_metric_crs` of a CRS in words; one in metres stays as it is written."""
+    rasterio = require("rasterio", "io", "coordinate reference systems in other units than metres")
+    try:
+        crs = rasterio.CRS.from_string(text)
+        return text if crs.units_factor[1] == 1.0 else str(_metric_crs(crs).to_wkt())
+    except rasterio.errors.CRSError as error:
+        raise InvalidInputError(f"crs: needed a coordinate reference system, got {text!r} ({error})") from error
+
+
 def grid_to_xarray(grid: GridMap) -> xr.DataArray:
     """Return the map as a DataArray with coordinate units and, where known, name, units and coordinate system."""
     xarray = require("xarray", "io", "GridMap.to_xarray")
@@ -219,12 +285,29 @@ def grid_to_xarray(grid: GridMap) -> xr.DataArray:
     return array
 
 
-def _read_raster(path: Path, geographic: bool | None, sigma: float | None) -> GridMap:
+def _band(source: Any, variable: str | None, path: Path) -> int:  # noqa: ANN401 - rasterio's
+    """Number of the band asked for, by its number or its description."""
+    names: dict[str | None, int] = {str(k): k for k in source.indexes} | {
+        d: k for k, d in enumerate(source.descriptions, 1) if d
+    }
+    if variable is None and source.count == 1:
+        return 1
+    if variable not in names:
+        got = "none" if variable is None else f"'{variable}'"
+        raise UnknownVariableError(
+            f"{path}: needed variable= for one of its bands {', '.join(map(str, names))}, got {got}"
+        )
+    return names[variable]
+
+
+def _read_raster(path: Path, variable: str | None, geographic: bool | None, sigma: float | None) -> GridMap:
     rasterio = require("rasterio", "io", "reading GeoTIFF, Surfer and GXF grids")
     try:
         with rasterio.open(path) as source:
-            band = source.read(1, masked=True)
+            number = _band(source, variable, path)
+            band = source.read(number, masked=True)
             transform, crs = source.transform, source.crs
+            scale, zero, unit = (of[number - 1] for of in (source.scales, source.offsets, source.units))
     except rasterio.errors.RasterioError as error:
         raise ReadError(f"{path}: needed a readable raster, got: {error}") from error
     if transform.b != 0.0 or transform.d != 0.0:
@@ -236,14 +319,25 @@ def _read_raster(path: Path, geographic: bool | None, sigma: float | None) -> Gr
     # The two nodata values of Surfer; not all versions of the driver declare them.
     if path.suffix.lower() == ".grd":
         values = np.where(values >= 1.70141e38, np.nan, values).astype(kind)
+    if (scale, zero) != (1.0, 0.0):
+        values = values.astype(np.float64) * scale + zero
     rows, columns = values.shape
     x = transform.c + transform.a * (np.arange(columns) + 0.5)
     y = transform.f + transform.e * (np.arange(rows) + 0.5)
     if geographic is None:
         geographic = _is_geographic((), (), crs, str(path))
+        if geographic and crs is not None and not math.isclose(crs.units_factor[1], math.radians(1.0), rel_tol=1e-6):
+            raise InvalidInputError(f"{path}: needed longitude and latitude in degrees, got {crs.units_factor[0]}")
+    if not geographic and crs is not None and not crs.is_geographic:
+        name, factor = crs.units_factor
+        if not (math.isfinite(factor) and factor > 0):
+            raise InvalidInputError(f"{path}: needed a unit of length of its coordinates, got {name!r}")
+        if factor != 1.0:
+            x, y, crs = x * factor, y * factor, _metric_crs(crs)
     return GridMap(
-        values, x, y, geographic=geographic, sigma=sigma, name=path.stem, crs=crs.to_string() if crs else None
-    )
+        values, x, y, geographic=geographic, sigma=sigma, name=path.stem, units=unit or None,
+        crs=crs.to_string() if crs else None,
+    )  # fmt: skip
 
 
 def _looks_like_oasis(head: bytes) -> bool:
@@ -462,6 +556,8 @@ def _seconds(table: pd.DataFrame, column: str, where: object) -> np.ndarray[Any,
     series = table[{str(c): c for c in table.columns}[column]]
     if pandas.api.types.is_numeric_dtype(series):
         return np.asarray(series, dtype=np.float64)
+    if not len(series):
+        return np.empty(0)
     try:
         stamps = pandas.to_datetime(series, utc=True)
     except (ValueError, TypeError) as error:

@@ -247,5 +247,6 @@ def match_report(
         "</main></body></html>\n"
     )
     target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(page, encoding="utf-8")
     return target

@@ -1,22 +1,43 @@
 """Samples from a pipe, fixes to a pipe: one line in, one line out, at once.
 
-Input is CSV (`x,y,value` or `time,x,y,value`; lines that start with # and a header line are passed over) or NMEA 0183:
-positions from GGA or RMC sentences, values from a sentence `$PGMAG,<value>*hh` after them. Output is one JSON object a
-sample. Nothing is buffered, so that a fix is there when its sample is.
+Input is CSV or NMEA 0183. CSV lines are `x,y,value` or `time,x,y,value`, or whatever a header line says; lines that start with #
+are passed over. NMEA has positions in GGA or RMC sentences and values in sentences `$PGMAG,<value>*hh` after them. Output is one
+JSON object a sample. Nothing is buffered, so that a fix is there when its sample is.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TextIO
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix
+from geomag.io import _TIME_NAMES, _VALUE_NAMES, _X_NAMES, _Y_NAMES, _is_number
 
-__all__ = ["Sample", "read_csv", "read_nmea", "run"]
+__all__ = ["Matcher", "Sample", "Step", "read_csv", "read_nmea", "run"]
+
+#: Those of `Fix.to_dict()`.
+_FIELDS = (
+    "status",
+    "ok",
+    "x",
+    "y",
+    "offset",
+    "offset_m",
+    "heading_deg",
+    "scale",
+    "bias",
+    "covariance_m2",
+    "risk",
+    "goodness",
+    "score",
+    "runner_up",
+    "n_samples",
+    "iterations",
+)
 
 
 @dataclass(frozen=True)
@@ -29,44 +50,83 @@ class Sample:
     time_s: float | None = None
 
 
-class _Step(Protocol):
+class Step(Protocol):
+    """What a matcher says after a sample; no fix where it did not look for one at this sample."""
+
     @property
-    def status(self) -> str: ...
+    def status(self) -> str:
+        """Whether a fix may be declared, and why not."""
+        ...
+
     @property
-    def fix(self) -> Fix: ...
+    def fix(self) -> Fix | None:
+        """The answer, where there is one."""
+        ...
 
 
 class Matcher(Protocol):
-    """A streaming matcher: `Iema`, `PosteriorMatcher` and their like."""
+    """A streaming matcher: `Iema`, `PosteriorMatcher`, `SlidingContour` and their like.
 
-    def update(self, x: float, y: float, value: float) -> _Step | Fix:
+    One that has `reset()` can begin anew; a sliding window need not.
+    """
+
+    def update(self, x: float, y: float, value: float, /) -> Step | Fix:
         """Take one sample."""
         ...
 
 
+def _header(names: Sequence[str], number: int) -> list[int | None]:
+    """Columns of x, y, value and time by a header; the usual order where it names no coordinates."""
+    known = {name.strip().strip('"').lower(): k for k, name in reversed(list(enumerate(names)))}
+
+    def column(usual: Sequence[str]) -> int | None:
+        return next((known[name] for name in usual if name in known), None)
+
+    x, y, value, time = (column(usual) for usual in (_X_NAMES, _Y_NAMES, _VALUE_NAMES, _TIME_NAMES))
+    if x is None and y is None and len(names) in (3, 4):
+        return _usual(len(names))
+    others = sorted(set(range(len(names))) - {x, y, time})
+    if value is None and len(others) == 1:
+        value = others[0]
+    if x is None or y is None or value is None:
+        raise InvalidInputError(f"line {number}: needed columns for x, y and value, got {', '.join(names)}")
+    return [x, y, value, time]
+
+
+def _usual(count: int) -> list[int | None]:
+    return [0, 1, 2, None] if count == 3 else [1, 2, 3, 0]
+
+
 def read_csv(lines: Iterable[str]) -> Iterator[Sample]:
-    """Samples from CSV lines `x,y,value` or `time,x,y,value`.
+    """Samples from CSV lines `x,y,value` or `time,x,y,value`, or with the columns that a header line names.
 
     Raises
     ------
     InvalidInputError
-        Naming the line that is neither.
+        Naming the line that is neither, or a header without x, y or value.
     """
+    columns: list[int | None] | None = None
+    count, first = 0, True
     for number, raw in enumerate(lines, start=1):
-        line = raw.strip()
+        line = raw.strip().lstrip("\ufeff")
         if not line or line.startswith("#"):
             continue
         parts = line.replace(";", ",").split(",")
+        if first and not any(map(_is_number, parts)):
+            columns, count, first = _header(parts, number), len(parts), False
+            continue
+        first = False
+        at = columns or _usual(len(parts))
+        if len(parts) != count if columns else len(parts) not in (3, 4):
+            form = f"{count} columns as in the header" if columns else "x,y,value or time,x,y,value"
+            raise InvalidInputError(f"line {number}: needed {form}, got {line!r}")
         try:
-            numbers = [float(p) for p in parts]
+            x, y, value, time = (None if k is None else float(parts[k]) for k in at)
         except ValueError as error:
-            if number == 1:
-                continue  # a header
             raise InvalidInputError(f"line {number}: needed numbers x,y,value, got {line!r}") from error
-        if len(numbers) not in (3, 4) or not all(map(math.isfinite, numbers)):
+        if x is None or y is None or value is None or not all(math.isfinite(v) for v in (x, y, value, time or 0.0)):
             raise InvalidInputError(f"line {number}: needed finite x,y,value or time,x,y,value, got {line!r}")
-        x, y, value = numbers[-3:]
-        yield Sample(x, y, value, numbers[0] if len(numbers) == 4 else None)
+        yield Sample(x, y, value, time)
 
 
 def _sentence(line: str, number: int) -> list[str] | None:
@@ -87,13 +147,33 @@ def _sentence(line: str, number: int) -> list[str] | None:
     return body.split(",")
 
 
-def _degrees(text: str, hemisphere: str, digits: int) -> float:
-    value = int(text[:digits]) + float(text[digits:]) / 60.0
-    return -value if hemisphere in ("S", "W") else value
+def _degrees(text: str, hemisphere: str, digits: int, hemispheres: str) -> float:
+    degrees, minutes = int(text[:digits]), float(text[digits:])
+    value = degrees + minutes / 60.0
+    if not (0 <= minutes < 60 and 0 <= value <= (90.0 if digits == 2 else 180.0) and hemisphere in tuple(hemispheres)):
+        raise ValueError(text, hemisphere)
+    return -value if hemisphere == hemispheres[1] else value
+
+
+def _position(fields: list[str]) -> tuple[float, float, float | None] | None:
+    """Longitude, latitude and seconds of the day of a GGA or RMC sentence; None where it says that it has none."""
+    gga = fields[0].endswith("GGA")
+    first = 2 if gga else 3
+    latitude, north, longitude, east = fields[first : first + 4]
+    # Quality of a GGA, status and, from version 2.3 on, mode of an RMC.
+    void = fields[6] in ("", "0") if gga else fields[2] != "A" or fields[12:13] == ["N"]
+    if void or not latitude or not longitude:
+        return None
+    clock = fields[1]
+    seconds = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:]) if clock else None
+    return _degrees(longitude, east, 3, "EW"), _degrees(latitude, north, 2, "NS"), seconds
 
 
 def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
     """Samples from NMEA 0183: a position (GGA or RMC), then `$PGMAG,<value>*hh`; other sentences are passed over.
+
+    A sentence that declares its position void (GGA of quality 0, RMC of status V) or leaves it empty ends the one
+    before: readings are passed over until there is a position again, and so is one that is empty.
 
     Raises
     ------
@@ -106,43 +186,50 @@ def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
         if fields is None:
             continue
         try:
-            kind = fields[0][-3:]
-            if kind in ("GGA", "RMC"):
-                first = 2 if kind == "GGA" else 3
-                latitude = _degrees(fields[first], fields[first + 1], 2)
-                longitude = _degrees(fields[first + 2], fields[first + 3], 3)
-                clock = fields[1]
-                seconds = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:]) if clock else None
-                position = (longitude, latitude, seconds)
-            elif fields[0] == "PGMAG" and position is not None:
-                yield Sample(position[0], position[1], float(fields[1]), position[2])
+            if fields[0][-3:] in ("GGA", "RMC"):
+                position = _position(fields)
+            elif fields[0] == "PGMAG" and position is not None and fields[1]:
+                value = float(fields[1])
+                if not math.isfinite(value):
+                    raise ValueError(fields[1])
+                yield Sample(position[0], position[1], value, position[2])
         except (IndexError, ValueError) as error:
             raise InvalidInputError(f"line {number}: needed an NMEA sentence, got {raw.strip()!r}") from error
 
 
 def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO, *, restart: bool = True) -> Fix | None:
-    """Feed samples to a streaming matcher and write one JSON line for each; return the last fix.
+    """Feed samples to a streaming matcher and write one JSON line for each; return the last fix that it gave.
+
+    A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix.
 
     Parameters
     ----------
     matcher : a streaming matcher.
     samples : from `read_csv`, `read_nmea` or anything else.
     out : where the lines go; flushed after each.
-    restart : whether the matcher begins anew after a fix or when lost; it must then have `reset()`.
+    restart : whether a matcher that has `reset()` begins anew after a fix or when lost.
     """
     last: Fix | None = None
+    reset = getattr(matcher, "reset", None) if restart else None
     for sample in samples:
         step = matcher.update(sample.x, sample.y, sample.value)
         fix = step if isinstance(step, Fix) else step.fix
-        line = {k: _plain(v) for k, v in fix.to_dict().items()}
+        line = _nothing(step.status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
         if sample.time_s is not None:
             line["time_s"] = sample.time_s
         out.write(json.dumps(line, allow_nan=False) + "\n")
         out.flush()
+        if fix is None:
+            continue
         last = fix
-        if restart and fix.status in ("fixed", "lost"):
-            matcher.reset()  # type: ignore[attr-defined]
+        if reset is not None and fix.status in ("fixed", "lost"):
+            reset()
     return last
+
+
+def _nothing(status: str) -> dict[str, object]:
+    """The line of a sample without a fix."""
+    return {**dict.fromkeys(_FIELDS), "status": status, "ok": False}
 
 
 def _plain(value: object) -> object:

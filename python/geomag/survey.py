@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError, UnknownVariableError
 from geomag._geomag import GridMap, Track, _distance_to_data, _minimum_curvature, match_posterior_many
+from geomag._metres import metres_per_unit
 from geomag._optional import require
 from geomag.io import floats, read_table
 
@@ -81,7 +82,10 @@ class Lines:
     def __post_init__(self) -> None:
         """Convert, and refuse what does not fit together."""
         for name in ("x", "y", "values"):
-            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float64))
+            try:
+                object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float64))
+            except (TypeError, ValueError) as error:
+                raise InvalidInputError(f"lines {name}: needed numbers, got something else ({error})") from error
         object.__setattr__(self, "line", np.asarray(self.line))
         shapes = {name: getattr(self, name).shape for name in ("x", "y", "values", "line")}
         if len(set(shapes.values())) != 1 or len(self.x.shape) != 1:
@@ -94,6 +98,11 @@ class Lines:
                 )
         if self.x.size == 0:
             raise TooFewSamplesError("lines: needed at least 1 point, got 0")
+        if self.geographic and np.abs(self.y).max() > 90.0:
+            worst = self.y[np.abs(self.y).argmax()]
+            raise InvalidInputError(
+                f"lines y: needed latitudes in [-90, 90] degrees (are the lines in metres?), got {worst:g}"
+            )
 
     def split(self) -> list[Lines]:
         """One `Lines` for every label, in the order of first appearance."""
@@ -108,10 +117,7 @@ class Lines:
 
     def scale_m(self) -> tuple[float, float]:
         """Metres per map unit (east, north) at the middle of the lines."""
-        if not self.geographic:
-            return 1.0, 1.0
-        probe = GridMap(np.zeros((2, 2)), [0.0, 1.0], [-1.0, 1.0], geographic=True)
-        return probe.metres_per_unit(float(np.mean(self.y)))
+        return metres_per_unit(self.geographic, float(np.mean(self.y)))
 
 
 @dataclass
@@ -147,6 +153,8 @@ def read_lines(
     geographic: bool = True,
 ) -> Lines:
     """Read survey lines from a table (CSV, compressed or not) with one row a point; needs pandas (extra `survey`).
+
+    Rows without a position or a value are left out.
 
     Raises `MissingFileError`, `ReadError` for a file that is no table, and `UnknownVariableError` naming the columns that
     there are.
@@ -195,6 +203,16 @@ def folds_of(lines: list[Lines], folds: int) -> npt.NDArray[np.int_]:
     return out
 
 
+def _nodes(c: Array, step: float) -> tuple[float, int]:
+    """First of the whole multiples of `step` that enclose every coordinate, and how many there are, at least 2."""
+    low, high = float(c.min()), float(c.max())
+    first = float(np.floor(low / step) * step)
+    # A quotient may round up to a whole number that the coordinate does not reach, or down to one that it passes.
+    first -= step * (first > low)
+    count = max(int(np.ceil((high - first) / step)) + 1, 2)
+    return first, count + (first + step * (count - 1) < high)
+
+
 @dataclass(frozen=True)
 class _Axes:
     x: tuple[float, float, int]
@@ -210,14 +228,16 @@ class _Axes:
             step = max(line_spacing_m(lines) / 8, float(np.sqrt(area / MOST_NODES)))
             sx, sy = step / east, step / north
         else:
-            sx, sy = np.broadcast_to(np.asarray(spacing, dtype=float), 2)
-        if not (sx > 0 and sy > 0):
-            raise InvalidInputError(f"spacing: needed numbers > 0, got {spacing}")
-        nx, ny = int(np.ptp(lines.x) / sx) + 2, int(np.ptp(lines.y) / sy) + 2
+            try:
+                sx, sy = np.broadcast_to(np.asarray(spacing, dtype=float), 2)
+            except (TypeError, ValueError) as error:
+                raise InvalidInputError(f"spacing: needed a number or a pair (x, y), got {spacing!r}") from error
+        if not (0 < sx < np.inf and 0 < sy < np.inf):
+            raise InvalidInputError(f"spacing: needed finite numbers > 0, got {spacing}")
+        (x0, nx), (y0, ny) = _nodes(lines.x, float(sx)), _nodes(lines.y, float(sy))
         if nx * ny > 50_000_000:
             raise InvalidInputError(f"spacing: needed a grid of at most 50,000,000 nodes, got {ny} x {nx}")
-        x0, y0 = np.floor(lines.x.min() / sx) * sx, np.floor(lines.y.min() / sy) * sy
-        return _Axes((float(x0), float(sx), nx), (float(y0), float(sy), ny), (float(sx * east), float(sy * north)))
+        return _Axes((x0, float(sx), nx), (y0, float(sy), ny), (float(sx * east), float(sy * north)))
 
     @staticmethod
     def of(grid: GridMap) -> _Axes:

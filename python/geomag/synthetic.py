@@ -20,6 +20,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import operator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,16 @@ def _as_dict(settings: Any) -> dict[str, object]:  # noqa: ANN401 - any of the s
     return {_SPREADS[type(settings)]: fields} if type(settings) in _SPREADS else fields
 
 
+def _seed(seed: object) -> int:
+    try:
+        number = operator.index(seed)  # type: ignore[arg-type]
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise InvalidInputError(f"seed: needed a whole number in [0, 2^64), got {seed!r}")
+    return number
+
+
 def _json(settings: object, kind: type) -> str:
     if not isinstance(settings, kind):
         raise InvalidInputError(f"needed a {kind.__name__}, got {type(settings).__name__}")
@@ -121,7 +132,7 @@ class Crust:
         self, extent: tuple[float, float, float, float], *, geographic: bool = False, seed: int = 0
     ) -> SyntheticField:
         """Draw a field over (x least, y least, x greatest, y greatest), map units."""
-        return SyntheticField(_json(self, Crust), tuple(float(v) for v in extent), geographic, seed)
+        return SyntheticField(_json(self, Crust), tuple(float(v) for v in extent), geographic, _seed(seed))
 
 
 @dataclass(frozen=True)
@@ -205,7 +216,7 @@ class InsSpread:
 
     def draw(self, seed: int) -> InsError:
         """Draw one error."""
-        drawn = json.loads(_draw_ins_error(_json(self, InsSpread), seed))
+        drawn = json.loads(_draw_ins_error(_json(self, InsSpread), _seed(seed)))
         settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in drawn.items()}
         return InsError(**settings)
 
@@ -278,5 +289,5 @@ def fly(
     """
     ins_json = _json(InsError() if ins is None else ins, InsError)
     sensor_json = _json(Sensor() if sensor is None else sensor, Sensor)
-    track, truth = _fly(field, path, ins_json, sensor_json, seed)
+    track, truth = _fly(field, path, ins_json, sensor_json, _seed(seed))
     return Flight(path, track, truth)

@@ -16,7 +16,7 @@ from geomag._geomag import FieldObservations, LocalFrame, RectangularHarmonicMod
 from geomag._optional import require
 from geomag.cli import app
 from geomag.cli._common import jsonable
-from geomag.io import read_table
+from geomag.io import floats, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -87,9 +87,10 @@ def read_columns(path: Path, names: Mapping[str, str], height: str) -> dict[str,
             raise UnknownVariableError(
                 f"{path.name}: needed a column '{name}' for {key}, got {', '.join(frame.columns)}"
             )
-        out[key] = frame[name].to_numpy()
+        # Labels of groups may be words; all else is numbers.
+        out[key] = frame[name].to_numpy() if key == "group" else floats(frame, name, path)
     if height in frame:
-        out["height"] = frame[height].to_numpy(dtype=float)
+        out["height"] = floats(frame, height, path)
     else:
         constant = _numbers(height, 1, "--height (a column of the file or metres)")
         out["height"] = np.full(len(frame), (constant or [0.0])[0])
@@ -142,11 +143,11 @@ def fit(
     if group is not None:
         names["group"] = group
     columns = {k: v[::every] for k, v in read_columns(data, names, height).items()}
-    lat, lon = columns["latitude"].astype(float), columns["longitude"].astype(float)
+    lat, lon = columns["latitude"], columns["longitude"]
     level = columns["height"]
     known = np.isfinite(lat) & np.isfinite(lon) & np.isfinite(level)
     if value is not None:
-        known &= np.isfinite(columns["value"].astype(float))
+        known &= np.isfinite(columns["value"])
     if not known.any():
         raise InvalidInputError(f"{data.name}: needed observations with a place, a height and a value, got none")
     lat, lon, level = lat[known], lon[known], level[known]
@@ -156,7 +157,7 @@ def fit(
     points = frame.forward(lat, lon, level)
     observations = FieldObservations()
     if value is None:
-        own = np.stack([columns[k][known].astype(float) for k in ("north", "east", "down")], axis=-1)
+        own = np.stack([columns[k][known] for k in ("north", "east", "down")], axis=-1)
         turned = frame.rotate_to_origin(lat, lon, own)
         observations.add_vector(*points, turned)
     else:
@@ -164,7 +165,7 @@ def fit(
         if main is None:
             raise InvalidInputError("--main-field: needed north,east,down with --value, got nothing")
         add = observations.add_anomaly if kind is Kind.anomaly else observations.add_intensity
-        add(*points, columns["value"][known].astype(float), main_field=main)
+        add(*points, columns["value"][known], main_field=main)
     model = RectangularHarmonicModel.fit_observations(
         observations,
         order=_several(order, int, "--order"),

@@ -25,7 +25,7 @@ class Input(StrEnum):
 
 
 @app.command(
-    epilog="Example: tail -f log.csv | geomag stream survey.nc --sigma 15 --half-width-m 1500 --tolerance-m 300",
+    epilog="Example: tail -n +1 -f log.csv | geomag stream survey.nc --sigma 15 --half-width-m 1500 --tolerance-m 300",
 )
 def stream(
     map: Annotated[Path, typer.Argument(help="Map file.")],
@@ -34,7 +34,7 @@ def stream(
     tolerance_m: Annotated[float, typer.Option(help="Extent of the feasible set that is unique enough, m.")] = 0.0,
     max_misses: Annotated[int, typer.Option(help="Gate violations that a candidate survives.")] = 0,
     input: Annotated[
-        Input, typer.Option(help="csv: x,y,value or time,x,y,value. nmea: GGA or RMC, $PGMAG.")
+        Input, typer.Option(help="csv: x,y,value or time,x,y,value, or as a header says. nmea: GGA or RMC, $PGMAG.")
     ] = Input.csv,
     restart: Annotated[bool, typer.Option(help="Begin anew after a fix, or when lost.")] = True,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
@@ -42,6 +42,8 @@ def stream(
 ) -> int:
     """Read samples from standard input, write one JSON object a sample to standard output, at once."""
     grid = read_grid(map, variable, geographic=geographic)
+    if hasattr(sys.stdin, "reconfigure"):  # noise on a serial line is for the reader to refuse by its line
+        sys.stdin.reconfigure(errors="replace")
     samples = (pipe.read_csv if input is Input.csv else pipe.read_nmea)(sys.stdin)
     first = next(samples, None)
     if first is None:

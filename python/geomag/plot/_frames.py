@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomag._errors import InvalidInputError
+from geomag._metres import metres_per_unit
 from geomag._optional import require
-from geomag.plot._maps import _image, halo, metres_per_unit
+from geomag.plot._maps import _image, halo
 from geomag.plot._style import COLOURS, new_axes, new_figure, style, styled
 
 if TYPE_CHECKING:

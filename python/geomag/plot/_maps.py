@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geomag._errors import InvalidInputError
+from geomag._metres import metres_per_unit
 from geomag._optional import require
 from geomag.plot._style import COLOURS, FIELD_COLOURS, new_axes, styled
 
@@ -18,17 +19,7 @@ if TYPE_CHECKING:
 
     from geomag._geomag import Fix, GridMap, Track
 
-_WGS84_A_M, _WGS84_E2 = 6_378_137.0, 0.006_694_379_990_141_3
 _MOST_PIXELS = 1600
-
-
-def metres_per_unit(geographic: bool, y: float) -> tuple[float, float]:
-    """Metres per map unit (east, north) at a y; for drawing only."""
-    if not geographic:
-        return 1.0, 1.0
-    sin, cos = math.sin(math.radians(y)), math.cos(math.radians(y))
-    root = math.sqrt(1.0 - _WGS84_E2 * sin * sin)
-    return math.radians(_WGS84_A_M / root * cos), math.radians(_WGS84_A_M * (1.0 - _WGS84_E2) / root**3)
 
 
 def halo(width: float = 3.2) -> list[Any]:
@@ -116,7 +107,7 @@ def field_map(
     if contours:
         levels = np.linspace(low, high, 9)[1:-1]
         ax.contour(x, y, np.ma.masked_invalid(values), levels=levels, colors="white", linewidths=0.4, alpha=0.6)
-    east, north = metres_per_unit(grid.geographic, float(np.mean(y)))
+    east, north = grid.metres_per_unit(float(np.mean(y)))
     ax.set_aspect(north / east)
     label_axes(ax, grid.geographic, float(x[-1] - x[0]) * east)
     if colour_bar:

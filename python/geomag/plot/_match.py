@@ -9,7 +9,7 @@ import numpy as np
 
 from geomag.plot._diagrams import residuals
 from geomag.plot._frames import Frame, draw_frames, pick, score_surface
-from geomag.plot._maps import _xy, ellipse, field_map, metres_per_unit, tracks
+from geomag.plot._maps import _xy, ellipse, field_map, tracks
 from geomag.plot._style import new_axes, new_figure, styled
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def _bounds(grid: GridMap, clouds: Sequence[np.ndarray[Any, Any]], margin: float
     points = np.concatenate(clouds)
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
-    east, north = metres_per_unit(grid.geographic, float((low[1] + high[1]) / 2))
+    east, north = grid.metres_per_unit(float((low[1] + high[1]) / 2))
     scale = np.array([east, north])
     reach = np.maximum(np.max((high - low) * scale) * (0.5 + margin), (high - low) * scale * (0.5 + margin))
     cells = 12 * np.array([abs(grid.x[1] - grid.x[0]), abs(grid.y[1] - grid.y[0])])
@@ -127,11 +127,11 @@ def match_figure(
             draw_frames(axes, 3, pick(steps, 6), true_offset=offset, geographic=grid.geographic, latitude=latitude)
             kind = "Offsets still feasible" if np.asarray(steps[0].values).dtype == bool else "Posterior"
             parts[-1].suptitle(f"{kind}, sample by sample", x=0.02, ha="left", fontsize=10)
-    figure.suptitle(title or _words(fix, offset, grid.geographic, latitude), x=0.01, ha="left", fontsize=11)
+    figure.suptitle(title or _words(fix, offset, grid, latitude), x=0.01, ha="left", fontsize=11)
     return figure
 
 
-def _words(fix: Fix, offset: tuple[float, float] | None, geographic: bool, latitude: float) -> str:
+def _words(fix: Fix, offset: tuple[float, float] | None, grid: GridMap, latitude: float) -> str:
     """Return the answer in words."""
     if not np.isfinite(fix.offset_m).all():
         return f"{fix.status.capitalize()} after {fix.n_samples} samples: no position"
@@ -141,7 +141,7 @@ def _words(fix: Fix, offset: tuple[float, float] | None, geographic: bool, latit
         f"{abs(east):.0f} m {'east' if east >= 0 else 'west'}, {abs(north):.0f} m {'north' if north >= 0 else 'south'}"
     )
     if offset is not None:
-        scale = metres_per_unit(geographic, latitude)
+        scale = grid.metres_per_unit(latitude)
         error = np.hypot(*((np.asarray(fix.offset) - offset) * scale))
         words += f"; error {error:.0f} m"
     return words

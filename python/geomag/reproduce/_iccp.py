@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-#: Metres per degree of longitude at the equator and of latitude, WGS84, and its first eccentricity squared.
-_A, _E2 = 6_378_137.0, 0.00669437999014
 #: INS error at the correction point, metres, and how far contours are looked for: three times that.
 OFFSET_M = 790.0
 #: Standard deviation of each axis of an offset of that length and any direction.
@@ -76,10 +74,7 @@ def refined_map(context: Context, file: str, spacing_m: float = 250.0) -> GridMa
     """The region's degree-790 anomaly on a plane in metres at 250 m, by cubic spline of the 0.01 degree grid."""
     interpolate = require("scipy.interpolate", "survey", "refining the map")
     coarse = read_grid(context.file(f"emm2017-crustal/{file}"), "total_field_anomaly_nt")
-    latitude = np.radians(coarse.y.mean())
-    root = np.sqrt(1.0 - _E2 * np.sin(latitude) ** 2)
-    east = np.radians(_A / root * np.cos(latitude))
-    north = np.radians(_A * (1.0 - _E2) / root**3)
+    east, north = coarse.metres_per_unit(float(coarse.y.mean()))
     spline = interpolate.RectBivariateSpline(coarse.y, coarse.x, np.asarray(coarse.values, dtype=float))
     x = np.arange(0.0, (coarse.x[-1] - coarse.x[0]) * east, spacing_m)
     y = np.arange(0.0, (coarse.y[-1] - coarse.y[0]) * north, spacing_m)

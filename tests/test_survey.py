@@ -1,0 +1,86 @@
+"""Survey lines: where the nodes of their grids lie, and what is refused of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import geomag
+from geomag.calibration import calibrate_lines, calibrate_simulated, suitability
+from geomag.survey import ErrorModel, Lines, _Axes, _nodes, map_from_lines
+
+coordinate = st.floats(-1e7, 1e7, allow_subnormal=False)
+
+
+@settings(deadline=None)
+@given(coordinate, st.floats(0, 1e4), st.floats(1e-3, 1e3))
+@example(0.9, 0.9, 1.0)
+@example(0.3, 0.3, 0.1)
+@example(-0.7, 1.4, 0.1)
+def test_nodes_enclose_every_datum_and_no_more_than_that(low, extent, step):
+    c = np.array([low + extent, low])
+    first, count = _nodes(c, step)
+    last = first + step * (count - 1)
+    assert first <= c.min()
+    assert last >= c.max()
+    slack = 1e-6 * step + 4 * np.spacing(abs(c).max())
+    assert c.min() - first <= step + slack
+    assert last - c.max() <= step + slack or count == 2
+    assert count <= int(extent / step) + 3
+
+
+def test_a_map_of_lines_has_a_value_at_every_datum():
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0.9, 11.8, 60), np.linspace(0.6, 9.5, 12)))
+    lines = Lines(x, y, np.sin(x / 3) + np.cos(y / 2), np.repeat(np.arange(12), 60))
+    model = ErrorModel(0.01, 0.1, 0.1, 0.1, 1.0, 0.15, 0.8, 0, 0.0)
+    grid = map_from_lines(lines, spacing=1.0, model=model)
+    assert (grid.x[-1], grid.y[-1]) == (12.0, 10.0)
+    assert np.isfinite(grid.sample(x, y)).all()
+
+
+@pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf, (1.0, 2.0, 3.0), "wide", (1.0, 0.0)])
+def test_a_spacing_that_is_none_is_refused(spacing):
+    lines = Lines([0.0, 1, 2, 3], [0.0, 1, 0, 1], [1.0, 2, 3, 4], [0, 0, 1, 1])
+    with pytest.raises(geomag.InvalidInputError, match="spacing"):
+        _Axes.over(lines, spacing)
+
+
+def test_lines_that_cannot_be_are_refused():
+    with pytest.raises(geomag.InvalidInputError, match="metres"):
+        Lines([5e5, 6e5], [5e6, 5e6], [1.0, 2.0], [0, 0], geographic=True)
+    with pytest.raises(geomag.InvalidInputError, match="lines values: needed numbers"):
+        Lines([0.0, 1.0], [0.0, 1.0], ["a", "b"], [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("sigma", -1.0), ("bias", -1.0), ("bias", np.nan), ("outlier", np.nan), ("outlier_share", 3.0), ("drift_m", np.nan),
+     ("heading_deg", -4.0), ("samples", 0), ("trials", 0), ("half_width_m", np.nan), ("tolerance_m", -1.0)],
+)  # fmt: skip
+def test_a_simulation_of_nonsense_is_refused(name, value):
+    grid = geomag.GridMap(np.random.default_rng(1).normal(size=(60, 60)), 100.0 * np.arange(60), 100.0 * np.arange(60))
+    options = {"sigma": 1.0, "half_width_m": 500.0, "tolerance_m": 100.0, "samples": 10, "trials": 2, name: value}
+    with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
+        calibrate_simulated(grid, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("half_width_m", -1.0), ("tolerance_m", 0.0), ("spacing_m", 0.0), ("spacing_m", np.nan), ("samples", -5),
+     ("folds", 1), ("most", 0)],
+)  # fmt: skip
+def test_a_calibration_of_nonsense_is_refused(name, value):
+    lines = Lines([0.0, 1, 2, 3], [0.0, 1, 0, 1], [1.0, 2, 3, 4], [0, 0, 1, 1])
+    options = {"half_width_m": 500.0, "tolerance_m": 100.0, "spacing_m": 50.0, name: value}
+    with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
+        calibrate_lines(lines, **options)
+
+
+def test_a_look_ahead_of_nonsense_is_refused():
+    grid = geomag.GridMap(np.random.default_rng(1).normal(size=(60, 60)), 100.0 * np.arange(60), 100.0 * np.arange(60))
+    for name, value in (("flights", -1), ("spacing_m", np.inf), ("half_width_m", 0.0)):
+        options = {"spacing_m": 100.0, "half_width_m": 500.0, name: value}
+        with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
+            suitability(grid, **options)
