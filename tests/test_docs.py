@@ -5,7 +5,6 @@ A page goes on from the files that the pages named in NEEDS have written. `sh` b
 
 from __future__ import annotations
 
-import inspect
 import os
 import re
 import shlex
@@ -14,8 +13,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
-import geomag
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(p for p in [*ROOT.glob("docs/**/*.md"), ROOT / "README.md"] if "_build" not in p.parts)
@@ -159,16 +156,3 @@ def test_every_example_runs(example, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip(), "an example says what it found"
-
-
-def test_everything_public_says_what_it_is():
-    silent = []
-    for name in geomag.__all__:
-        thing = getattr(geomag, name)
-        members = vars(thing).items() if inspect.isclass(thing) and thing.__module__.startswith("geomag") else ()
-        for member, value in [("", thing), *members]:
-            described = callable(value) or isinstance(value, (property, staticmethod, classmethod))
-            described = described or inspect.isgetsetdescriptor(value)
-            if described and not member.startswith("_") and not (getattr(value, "__doc__", None) or "").strip():
-                silent.append(f"{name}.{member}".rstrip("."))
-    assert silent == []

@@ -105,6 +105,17 @@ def read_grid(
     Raises
     ------
     MissingFileError, ReadError, UnknownVariableError, InvalidInputError, MissingDependencyError
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, geomag
+    >>> nodes = [f"{x},{y},{x + 2 * y}" for y in (0, 50, 100) for x in (0, 50, 100, 150)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "map.csv")
+    ...     _ = path.write_text("easting,northing,anomaly\\n" + "\\n".join(nodes))
+    ...     grid = geomag.read_grid(path)
+    >>> grid.shape, grid.spacing, grid.geographic
+    ((3, 4), (50.0, 50.0), False)
     """
     path = _existing(path)
     with path.open("rb") as file:
@@ -416,6 +427,16 @@ def read_track(
     Raises
     ------
     MissingFileError, ReadError, UnknownVariableError, InvalidInputError, MissingDependencyError
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, geomag
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "log.csv")
+    ...     _ = path.write_text("time_s,longitude,latitude,anomaly\\n0,16.10,47.2,31.5\\n8,16.11,47.2,35.0\\n")
+    ...     track = geomag.read_track(path)
+    >>> len(track), track.values.tolist(), track.time_s.tolist()
+    (2, [31.5, 35.0], [0.0, 8.0])
     """
     return track_from_pandas(read_table(Path(path)), x, y, value, time=time, missing=missing, where=str(path))
 
