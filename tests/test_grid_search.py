@@ -248,6 +248,7 @@ def test_off_the_map_is_an_error_and_a_hole_is_a_status():
     [
         ({"criterion": "cosine"}, "criterion"),
         ({"half_width": -1}, "half_width"),
+        ({"half_width": 0}, "half_width"),  # one candidate is neither ambiguous nor at an edge, wherever it is
         ({"step": 0}, "step"),
         ({"heading_deg": []}, "heading_deg"),
         ({"heading_deg": [np.nan]}, "heading_deg"),

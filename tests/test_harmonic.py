@@ -317,3 +317,9 @@ def osborne(data_file):
     pandas = pytest.importorskip("pandas")
     with gzip.open(data_file("osborne-aeromag/osborne_lines.csv.gz")) as file:
         return pandas.read_csv(file)
+
+
+def test_a_map_of_too_many_nodes_is_refused_before_memory_is_taken():
+    axis = np.linspace(-1e4, 1e4, 300_000)
+    with pytest.raises(geomag.CandidateLimitError, match="map of a harmonic model"):
+        random_model().sample_to_grid(axis, axis)

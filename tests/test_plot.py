@@ -223,3 +223,20 @@ def test_bad_input_is_refused_by_name(scene, call, words):
     grid, flight, fix = scene
     with pytest.raises(geomag.InvalidInputError, match=words):
         call(grid, flight.track, fix)
+
+
+def test_a_tall_map_fills_its_figure_and_names_its_hatching():
+    y = np.arange(300) * 1000.0
+    ax = plot.suitability_map(np.random.default_rng(1).uniform(10, 900, (300, 100)), y[:100], y, good_below=300.0)
+    width, height = ax.figure.get_size_inches()
+    assert width < 0.6 * height
+    assert any("hatched" in text.get_text() for text in ax.texts)
+
+
+def test_legends_stand_below_the_curves():
+    errors = plot.error_distribution({"one": np.geomspace(1e-3, 1e3, 50)}, tolerance_m=10.0)
+    risks = plot.reliability_points([(1e-3, 0.1, 0.0, 0.9, 9)], label="observed")
+    for ax in (errors, risks):
+        ax.figure.canvas.draw()
+        assert ax.get_legend().get_window_extent().y1 < ax.get_window_extent().y0
+    assert "worse than declared" in [t.get_text() for t in risks.get_legend().get_texts()]

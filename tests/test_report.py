@@ -275,7 +275,10 @@ def test_suitability_writes_grid_and_picture(scene, tmp_path):
         folder=scene[0],
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert re.search(r"heading +45\.0  a fix on \d+% of the map, there \d+ m", done.stdout)
+    assert re.search(
+        r"heading +45\.0  a fix on \d+% of the map \(\d+% of the nodes at which such a track can end\), there \d+ m",
+        done.stdout,
+    )
     with xarray.open_dataset(tmp_path / "s.nc") as found:
         assert {"error_m_000", "samples_045"} <= set(found)
         assert found["error_m_045"].attrs["units"] == "m"

@@ -31,6 +31,7 @@ def _binomial_cdf(k: int, n: int, p: float) -> float:
 def binomial_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
     """Exact interval of a rate (Clopper and Pearson 1934), by bisection on the binomial distribution.
 
+    >>> from geomag._statistics import binomial_interval
     >>> low, high = binomial_interval(0, 100)
     >>> round(low, 4), round(high, 4)
     (0.0, 0.0362)

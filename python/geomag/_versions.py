@@ -39,7 +39,8 @@ def versions() -> dict[str, str | None]:
 def show_versions() -> None:
     """Print what is installed: paste it into a bug report.
 
-    >>> show_versions()  # doctest: +ELLIPSIS
+    >>> import geomag
+    >>> geomag.show_versions()  # doctest: +ELLIPSIS
     geomag ...
     """
     found = versions()

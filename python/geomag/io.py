@@ -129,7 +129,7 @@ def read_grid(
     sigma: str | float | None = None,
     columns: tuple[str, str, str] | None = None,
 ) -> GridMap:
-    """Read a map from a file.
+    r"""Read a map from a file.
 
     Parameters
     ----------
@@ -151,6 +151,17 @@ def read_grid(
     Raises
     ------
     MissingFileError, ReadError, UnknownVariableError, InvalidInputError, MissingDependencyError
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, geomag
+    >>> nodes = [f"{x},{y},{x + 2 * y}" for y in (0, 50, 100) for x in (0, 50, 100, 150)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "map.csv")
+    ...     _ = path.write_text("easting,northing,anomaly\n" + "\n".join(nodes))
+    ...     grid = geomag.read_grid(path)
+    >>> grid.shape, grid.spacing, grid.geographic
+    ((3, 4), (50.0, 50.0), False)
     """
     path = _existing(path)
     with path.open("rb") as file:
@@ -168,6 +179,10 @@ def read_grid(
         raise InvalidInputError(f"variable: needed none for this kind of file, which has one field, got '{variable}'")
     if _looks_like_oasis(head):
         return _read_oasis(path, geographic, constant)
+    if path.suffix.lower() in (".nc", ".nc4", ".cdf", ".netcdf"):
+        raise ReadError(
+            f"{path}: needed a netCDF file, as its name says, got {'other content' if head else 'an empty file'}"
+        )
     if b"\0" in head:
         raise ReadError(f"{path}: needed netCDF, GeoTIFF, Surfer, GXF, Oasis or text, got unknown binary content")
     return _read_xyz(path, geographic, constant, columns)
@@ -498,7 +513,7 @@ def read_track(
     time: str | None = None,
     missing: Literal["error", "drop"] = "error",
 ) -> Track:
-    """Read an indicated track with measured values from CSV (also compressed), other text or Parquet.
+    r"""Read an indicated track with measured values from CSV (also compressed), other text or Parquet.
 
     Parameters
     ----------
@@ -510,6 +525,16 @@ def read_track(
     Raises
     ------
     MissingFileError, ReadError, UnknownVariableError, InvalidInputError, MissingDependencyError
+
+    Examples
+    --------
+    >>> import pathlib, tempfile, geomag
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "log.csv")
+    ...     _ = path.write_text("time_s,longitude,latitude,anomaly\n0,16.10,47.2,31.5\n8,16.11,47.2,35.0\n")
+    ...     track = geomag.read_track(path)
+    >>> len(track), track.values.tolist(), track.time_s.tolist()
+    (2, [31.5, 35.0], [0.0, 8.0])
     """
     return track_from_pandas(read_table(Path(path)), x, y, value, time=time, missing=missing, where=str(path))
 

@@ -13,6 +13,8 @@ require("typer", "cli", "the geomag command")
 
 import typer  # noqa: E402 - after the check that it is there
 
+from geomag.cli._checks import in_options, output  # noqa: E402
+
 NO_FIX = 3
 BAD_INPUT = 1
 
@@ -51,7 +53,9 @@ def _main(
     settings: Path | None = typer.Option(
         None, help="TOML file with options: a table for each command, such as [match]. The command line wins."
     ),
-    record: Path | None = typer.Option(None, help="Write what was run, its settings and versions, to this JSON file."),
+    record: Path | None = typer.Option(
+        None, callback=output, help="Write what was run, its settings and versions, to this JSON file."
+    ),
 ) -> None:
     if settings is not None:
         from geomag.cli._settings import read_settings
@@ -74,7 +78,11 @@ def run(arguments: Sequence[str]) -> int:
         sys.stderr.write("geomag: interrupted\n")
         return 130
     except GeomagError as error:
-        sys.stderr.write("geomag: " + str(error).replace("\n", " ") + "\n")
+        sys.stderr.write(f"geomag: {in_options(str(error))}\n")
+        return BAD_INPUT
+    except (OSError, OverflowError, MemoryError) as error:
+        # A full disk, a number beyond what the core counts with.
+        sys.stderr.write("geomag: " + (str(error) or type(error).__name__).replace("\n", " ") + "\n")
         return BAD_INPUT
     except Exception as error:
         # Usage errors are click's, but recent versions of typer carry a click of their own: known by what they can do.

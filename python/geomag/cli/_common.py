@@ -66,8 +66,8 @@ def half_width(grid: GridMap, track: Track, metres: float) -> tuple[float, float
     return metres / east, metres / north
 
 
-def describe(fix: Fix) -> list[str]:
-    """What a navigator wants to know, in words."""
+def describe(fix: Fix, risk: str = "that the error is beyond the tolerance") -> list[str]:
+    """What a navigator wants to know, in words; `risk` says of what the fix's risk is."""
     lines = [f"status      {fix.status}{'' if fix.ok else '  (not to be used)'}"]
     if math.isfinite(fix.x):
         east, north = fix.offset_m
@@ -81,6 +81,6 @@ def describe(fix: Fix) -> list[str]:
         s = np.sqrt(np.diag(fix.covariance_m2))
         lines.append(f"sigma       {s[0]:.1f} m east  {s[1]:.1f} m north (one standard deviation)")
     if fix.risk is not None:
-        lines.append(f"risk        {fix.risk:.2e} that the error is beyond the tolerance")
+        lines.append(f"risk        {fix.risk:.2e} {risk}")
     lines.append(f"score       {fix.score:.4g}  runner-up {fix.runner_up:.4g}  from {fix.n_samples} samples")
     return lines

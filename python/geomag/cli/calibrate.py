@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from geomag.cli import app
+from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
 from geomag.io import read_grid
 
 
@@ -16,35 +17,54 @@ from geomag.io import read_grid
 )
 def calibrate(
     source: Annotated[Path, typer.Argument(help="Survey lines (CSV), or with --simulate a map file.")],
-    half_width_m: Annotated[float, typer.Option(help="Bound of the INS error, m.")],
-    tolerance_m: Annotated[float, typer.Option(help="Error beyond which a fix is wrong, m.")],
-    spacing_m: Annotated[float, typer.Option(help="Distance between samples, m (lines only).")] = 200.0,
-    samples: Annotated[int, typer.Option(help="Samples of a track.")] = 40,
+    half_width_m: Annotated[float, typer.Option(callback=positive, help="Bound of the INS error, m.")],
+    tolerance_m: Annotated[float, typer.Option(callback=positive, help="Error beyond which a fix is wrong, m.")],
+    spacing_m: Annotated[
+        float, typer.Option(callback=positive, help="Distance between samples, m (lines only).")
+    ] = 200.0,
+    samples: Annotated[int, typer.Option(min=3, help="Samples of a track.")] = 40,
     simulate: Annotated[bool, typer.Option(help="Fly over the map instead of matching left-out lines.")] = False,
-    sigma: Annotated[float, typer.Option(help="Sensor noise of the simulation, map units.")] = 1.0,
+    sigma: Annotated[float, typer.Option(callback=positive, help="Sensor noise of the simulation, map units.")] = 1.0,
     map_sigma: Annotated[
         float | None,
-        typer.Option(help="Error of the simulated map, map units; 0 for one that is right, not given for unknown."),
+        typer.Option(
+            callback=not_negative,
+            help="Error of the simulated map, map units; 0 for one that is right, not given for unknown.",
+        ),
     ] = None,
     bias: Annotated[
-        float, typer.Option(help="Greatest constant of the simulated readings; 0: known to be none.")
+        float,
+        typer.Option(callback=not_negative, help="Greatest constant of the simulated readings; 0: known to be none."),
     ] = 0.0,
-    outlier_share: Annotated[float, typer.Option(help="Share of simulated readings that are outliers.")] = 0.0,
-    outlier: Annotated[float, typer.Option(help="Size of the outliers, map units.")] = 0.0,
-    heading_deg: Annotated[float, typer.Option(help="Simulated heading error, one standard deviation.")] = 0.0,
-    drift_m: Annotated[float, typer.Option(help="Simulated drift over the track, told as a bound, m.")] = 0.0,
+    outlier_share: Annotated[
+        float, typer.Option(callback=share, help="Share of simulated readings that are outliers.")
+    ] = 0.0,
+    outlier: Annotated[float, typer.Option(callback=not_negative, help="Size of the outliers, map units.")] = 0.0,
+    heading_deg: Annotated[
+        float, typer.Option(callback=half_turn, help="Simulated heading error, one standard deviation.")
+    ] = 0.0,
+    drift_m: Annotated[
+        float, typer.Option(callback=not_negative, help="Simulated drift over the track, told as a bound, m.")
+    ] = 0.0,
     streaming: Annotated[bool, typer.Option(help="Stop every simulated track at its first fix.")] = False,
-    trials: Annotated[int, typer.Option(help="Most tracks.")] = 2000,
-    overlap: Annotated[float, typer.Option(help="Share of a window that the next one has too (lines only).")] = 0.0,
-    max_risk: Annotated[float, typer.Option(help="Risk up to which a fix is declared.")] = 0.01,
+    trials: Annotated[int, typer.Option(min=1, help="Most tracks.")] = 2000,
+    overlap: Annotated[
+        float, typer.Option(callback=share, help="Share of a window that the next one has too (lines only).")
+    ] = 0.0,
+    max_risk: Annotated[float, typer.Option(callback=share, help="Risk up to which a fix is declared.")] = 0.01,
     x: Annotated[str, typer.Option(help="Column of x or longitude.")] = "longitude",
     y: Annotated[str, typer.Option(help="Column of y or latitude.")] = "latitude",
     value: Annotated[str, typer.Option(help="Column of the values.")] = "total_field_anomaly_nt",
     line: Annotated[str, typer.Option(help="Column of the line labels.")] = "line",
-    geographic: Annotated[bool, typer.Option(help="Coordinates are degrees.")] = True,
+    geographic: Annotated[
+        bool | None,
+        typer.Option(help="Coordinates are degrees; by default what the map says, and for lines that they are."),
+    ] = None,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the report (Markdown) to this file.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Write the reliability diagram to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(callback=output, help="Write the report (Markdown) to this file.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(callback=picture, help="Write the reliability diagram to this file.")
+    ] = None,
 ) -> int:
     """Report declared risk against observed errors, on left-out lines of a survey or on simulated flights."""
     from geomag import GridMap
@@ -73,7 +93,7 @@ def calibrate(
             bias_sigma=None if bias else 0.0,
         )
     else:
-        lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic)
+        lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic is not False)
         result = calibrate_lines(
             lines,
             name=source.name,

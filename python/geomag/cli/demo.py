@@ -13,6 +13,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.cli import NO_FIX, app
+from geomag.cli._checks import MAX_SEED, picture
 from geomag.cli._common import describe, fix_json, teller
 from geomag.cli.match import draw, solve
 from geomag.io import read_grid
@@ -133,8 +134,8 @@ def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spac
 
 @app.command(epilog="Example: geomag demo --seed 7 --out demo.png")
 def demo(
-    seed: Annotated[int, typer.Option(help="Seed of everything that is drawn.")] = 1,
-    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("out/demo.png"),
+    seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of everything that is drawn.")] = 1,
+    out: Annotated[Path, typer.Option(callback=picture, help="Picture to write.")] = Path("out/demo.png"),
     lines: Annotated[Path | None, typer.Option(help="Survey lines (CSV) instead of made-up data.")] = None,
     map: Annotated[Path | None, typer.Option(help="Map that goes with the lines.")] = None,
     as_json: Annotated[

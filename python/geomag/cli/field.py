@@ -11,10 +11,11 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from geomag._errors import InvalidInputError, ReadError, UnknownVariableError
+from geomag._errors import CandidateLimitError, InvalidInputError, ReadError, UnknownVariableError
 from geomag._geomag import FieldObservations, LocalFrame, RectangularHarmonicModel
 from geomag._optional import require
 from geomag.cli import app
+from geomag.cli._checks import not_negative, output, positive
 from geomag.cli._common import jsonable
 from geomag.io import floats, read_table
 
@@ -25,6 +26,9 @@ field_app = typer.Typer(help="Harmonic models of the field: fit and evaluate.", 
 app.add_typer(field_app, name="field")
 
 Column = NDArray[np.float64]
+
+#: Most nodes of a map, as in the core.
+MAX_NODES = 1 << 28
 
 
 class Kind(StrEnum):
@@ -53,8 +57,8 @@ def _numbers(text: str | None, count: int, option: str) -> list[float] | None:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != count:
-        raise InvalidInputError(f"{option}: needed {count} numbers with commas between them, got '{text}'")
+    if len(values) != count or not np.isfinite(values).all():
+        raise InvalidInputError(f"{option}: needed {count} numbers with commas between them, all finite, got '{text}'")
     return values
 
 
@@ -104,7 +108,7 @@ def read_columns(path: Path, names: Mapping[str, str], height: str) -> dict[str,
 )
 def fit(
     data: Annotated[Path, typer.Argument(help="Table (csv, csv.gz, parquet) or netCDF grid of observations.")],
-    out: Annotated[Path, typer.Option(help="Where the model goes (JSON).")],
+    out: Annotated[Path, typer.Option(callback=output, help="Where the model goes (JSON).")],
     components: Annotated[
         str | None, typer.Option(help="Columns of the north, east and down components (geodetic), e.g. bn,be,bd.")
     ] = None,
@@ -121,9 +125,14 @@ def fit(
     ridge: Annotated[str, typer.Option(help="Ridge for columns of unit norm; several are compared.")] = "1e-9",
     damping: Annotated[
         float,
-        typer.Option(help="Damp short waves as if they came from so many metres below; line spacing for surveys."),
+        typer.Option(
+            callback=not_negative,
+            help="Damp short waves as if they came from so many metres below; line spacing for surveys.",
+        ),
     ] = 0.0,
-    huber: Annotated[float | None, typer.Option(help="Huber's bound in standard deviations, e.g. 1.345.")] = None,
+    huber: Annotated[
+        float | None, typer.Option(callback=positive, help="Huber's bound in standard deviations, e.g. 1.345.")
+    ] = None,
     group: Annotated[str | None, typer.Option(help="Column whose equal values are left out together.")] = None,
     every: Annotated[int, typer.Option(min=1, help="Take every n-th observation.")] = 1,
     no_covariance: Annotated[bool, typer.Option("--no-covariance", help="A small file without sigma.")] = False,
@@ -201,7 +210,7 @@ def evaluate(
     height: Annotated[float, typer.Option(help="Height of the map, metres.")] = 0.0,
     quantity: Annotated[Quantity, typer.Option(help="What the map holds.")] = Quantity.down,
     main_field: Annotated[str | None, typer.Option(help="Main field north,east,down for the last three.")] = None,
-    out: Annotated[Path | None, typer.Option(help="netCDF file for the map.")] = None,
+    out: Annotated[Path | None, typer.Option(callback=output, help="netCDF file for the map.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")] = False,
 ) -> None:
     """Evaluate a model at a place (components, intensity of the anomaly, gradient, sigma), or continue it to a map."""
@@ -213,6 +222,7 @@ def evaluate(
         raise InvalidInputError("places: needed one of --at and --grid, got both or neither")
     if at is not None:
         latitude, longitude, level = _numbers(at, 3, "--at") or [0.0, 0.0, 0.0]
+        _on_earth("--at", latitude, longitude)
         _point(loaded, frame, (latitude, longitude, level), as_json)
         return
     west, east, south, north, step = _numbers(grid, 5, "--grid") or [0.0] * 5
@@ -220,6 +230,11 @@ def evaluate(
         raise InvalidInputError(f"--grid: needed west < east, south < north and a step > 0, got '{grid}'")
     if out is None:
         raise InvalidInputError("--out: needed a netCDF file for the map, got nothing")
+    _on_earth("--grid", south, west)
+    _on_earth("--grid", north, east)
+    needed = ((east - west) / step + 1.0) * ((north - south) / step + 1.0)
+    if needed > MAX_NODES:
+        raise CandidateLimitError(f"--grid: needed at most {MAX_NODES} nodes, got {needed:.3g}; take a larger step")
     x = west + step * np.arange(round((east - west) / step) + 1)
     y = south + step * np.arange(round((north - south) / step) + 1)
     made = loaded.sample_to_grid(
@@ -231,6 +246,13 @@ def evaluate(
         typer.echo(json.dumps(jsonable({"out": str(out), "shape": list(made.shape), "holes": made.holes})))
     else:
         typer.echo(f"{made!r} written to {out}")
+
+
+def _on_earth(option: str, latitude: float, longitude: float) -> None:
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0):
+        raise InvalidInputError(
+            f"{option}: needed a latitude within 90 and a longitude within 360 degrees, got {latitude:g} and {longitude:g}"
+        )
 
 
 def _point(

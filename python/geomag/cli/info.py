@@ -11,6 +11,7 @@ import typer
 
 from geomag._geomag import GridMap
 from geomag.cli import app
+from geomag.cli._checks import positive
 from geomag.cli._common import jsonable
 from geomag.io import read_grid
 
@@ -55,7 +56,9 @@ def info(
     map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF file.")] = None,
     geographic: Annotated[bool | None, typer.Option(help="Coordinates are degrees.")] = None,
-    sigma: Annotated[float, typer.Option(help="Standard deviation of a measured value, map error included.")] = 5.0,
+    sigma: Annotated[
+        float, typer.Option(callback=positive, help="Standard deviation of a measured value, map error included.")
+    ] = 5.0,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """What is in a map, its statistics, and whether one can navigate on it."""

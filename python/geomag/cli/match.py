@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid, match_posterior
 from geomag.cli import NO_FIX, app
+from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
 from geomag.cli._common import describe, fix_json, half_width, load_track
 from geomag.io import read_grid
 from geomag.survey import with_line_spacing
@@ -34,6 +35,20 @@ class Method(StrEnum):
     contour = "contour"
 
 
+#: Methods that options are for; others have no use for them.
+MEANT_FOR = {
+    "max_misses": {"iema"},
+    "letter": {"contour"},
+    "max_risk": {"posterior"},
+    "map_sigma": {"posterior", "contour"},
+    "line_spacing_m": {"posterior", "contour"},
+    "scale_sigma": {"posterior", "contour"},
+    "tolerance_m": {"iema", "posterior", "contour"},
+    "heading_deg": {"msd", "mad", "prod", "ncc", "hausdorff", "posterior", "contour"},
+}
+#: Options that plain ICCP has no use for.
+NOT_TO_THE_LETTER = ("tolerance_m", "heading_deg", "scale_sigma")
+
 #: Whose scores are good where they are large.
 LARGEST_IS_BEST = ("prod", "ncc", "posterior")
 
@@ -47,52 +62,63 @@ def default_half_width_m(grid: GridMap) -> float:
     epilog="Example: geomag match survey.nc log.csv --method msd --half-width-m 1500 --json",
 )
 def match(
+    context: typer.Context,
     map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
     track: Annotated[Path, typer.Argument(help="Track file: CSV, text or Parquet with position and value columns.")],
     method: Annotated[Method, typer.Option(help="Matcher.")] = Method.msd,
     half_width_m: Annotated[
         float | None,
-        typer.Option(help="Half size of the search, m: the bound of the INS error. Default 2000 or ten cells."),
+        typer.Option(
+            callback=positive, help="Half size of the search, m: the bound of the INS error. Default 2000 or ten cells."
+        ),
     ] = None,
     sigma: Annotated[
         float | None,
         typer.Option(
-            help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated."
+            callback=positive,
+            help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated.",
         ),
     ] = None,
     remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
     tolerance_m: Annotated[
         float,
         typer.Option(
+            callback=not_negative,
             help="Posterior, contour: error within which a fix is right, m (by default the method's own). "
-            "IEMA: extent of the feasible set that is unique enough, m."
+            "IEMA: extent of the feasible set that is unique enough, m.",
         ),
     ] = 0.0,
-    max_risk: Annotated[float, typer.Option(help="Posterior: declared risk up to which it is a fix.")] = 0.01,
+    max_risk: Annotated[
+        float, typer.Option(callback=share, help="Posterior: declared risk up to which it is a fix.")
+    ] = 0.01,
     map_sigma: Annotated[
         float | None,
         typer.Option(
-            help="Posterior: standard deviation of the map's own error, 0 for a map that is right. Not given: unknown, which "
-            "costs fixes."
+            callback=not_negative,
+            help="Posterior, contour: standard deviation of the map's own error, 0 for a map that is right. Not given: "
+            "unknown, which costs the posterior fixes.",
         ),
     ] = None,
     line_spacing_m: Annotated[
         float | None,
         typer.Option(
-            help="Posterior: distance between the lines of the survey behind the map, instead of --map-sigma: the map's error is "
-            "taken as typical of such a survey."
+            callback=positive,
+            help="Posterior, contour: distance between the lines of the survey behind the map, instead of --map-sigma: the "
+            "map's error is taken as typical of such a survey.",
         ),
     ] = None,
-    max_misses: Annotated[int, typer.Option(help="IEMA: gate violations that a candidate survives.")] = 0,
+    max_misses: Annotated[int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")] = 0,
     heading_deg: Annotated[
         float,
         typer.Option(
+            callback=half_turn,
             help="Search headings up to this, in five steps a side (not IEMA). Posterior, contour: standard deviation "
-            "of the heading."
+            "of the heading.",
         ),
     ] = 0.0,
     scale_sigma: Annotated[
-        float, typer.Option(help="Posterior, contour: standard deviation of the speed error, a ratio.")
+        float,
+        typer.Option(callback=not_negative, help="Posterior, contour: standard deviation of the speed error, a ratio."),
     ] = 0.0,
     letter: Annotated[
         bool,
@@ -105,11 +131,16 @@ def match(
     value: Annotated[str | None, typer.Option(help="Column of the measured values.")] = None,
     drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="Write a picture to this file.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a self-contained HTML page to this file.")] = None,
-    geojson: Annotated[Path | None, typer.Option(help="Write track and fix as GeoJSON to this file.")] = None,
+    plot: Annotated[Path | None, typer.Option(callback=picture, help="Write a picture to this file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(callback=output, help="Write a self-contained HTML page to this file.")
+    ] = None,
+    geojson: Annotated[
+        Path | None, typer.Option(callback=output, help="Write track and fix as GeoJSON to this file.")
+    ] = None,
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
+    refuse_idle(context, method.value, letter)
     grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
     if line_spacing_m is not None:
         if map_sigma is not None:
@@ -152,8 +183,26 @@ def match(
     if json_:
         typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
     else:
-        typer.echo("\n".join(describe(fix)))
+        typer.echo("\n".join(describe(fix, risk_of(method.value, tolerance_m))))
     return 0 if fix.ok else NO_FIX
+
+
+def refuse_idle(context: typer.Context, method: str, letter: bool) -> None:
+    """Refuse options of the command line that the method would pass over; those of a settings file serve several."""
+    for name, methods in MEANT_FOR.items():
+        source = context.get_parameter_source(name)
+        idle = method not in methods or (letter and name in NOT_TO_THE_LETTER)
+        if source is not None and source.name == "COMMANDLINE" and idle:
+            what = "contour without --letter" if method in methods else f"--method {' or '.join(sorted(methods))}"
+            raise InvalidInputError(f"--{name.replace('_', '-')}: needed {what}, got {method}")
+
+
+def risk_of(method: str, tolerance_m: float) -> str:
+    """Of what the risk of a fix is, which differs from method to method."""
+    if method == "contour":
+        what = f"that the error is beyond {tolerance_m:g} m" if tolerance_m else "of another minimum of the misfit"
+        return f"{what} (not calibrated)"
+    return f"that the error is beyond {f'{tolerance_m:g} m' if tolerance_m else 'one cell of the map'}"
 
 
 def solve(

@@ -13,6 +13,7 @@ import typer
 from geomag import stream as pipe
 from geomag._geomag import Iema
 from geomag.cli import NO_FIX, app
+from geomag.cli._checks import not_negative, positive
 from geomag.cli.match import default_half_width_m
 from geomag.io import read_grid
 
@@ -29,10 +30,12 @@ class Input(StrEnum):
 )
 def stream(
     map: Annotated[Path, typer.Argument(help="Map file.")],
-    sigma: Annotated[float, typer.Option(help="Standard deviation of a measured value.")] = 10.0,
-    half_width_m: Annotated[float | None, typer.Option(help="Bound of the INS error, m.")] = None,
-    tolerance_m: Annotated[float, typer.Option(help="Extent of the feasible set that is unique enough, m.")] = 0.0,
-    max_misses: Annotated[int, typer.Option(help="Gate violations that a candidate survives.")] = 0,
+    sigma: Annotated[float, typer.Option(callback=positive, help="Standard deviation of a measured value.")] = 10.0,
+    half_width_m: Annotated[float | None, typer.Option(callback=positive, help="Bound of the INS error, m.")] = None,
+    tolerance_m: Annotated[
+        float, typer.Option(callback=not_negative, help="Extent of the feasible set that is unique enough, m.")
+    ] = 0.0,
+    max_misses: Annotated[int, typer.Option(min=0, help="Gate violations that a candidate survives.")] = 0,
     input: Annotated[
         Input, typer.Option(help="csv: x,y,value or time,x,y,value, or as a header says. nmea: GGA or RMC, $PGMAG.")
     ] = Input.csv,

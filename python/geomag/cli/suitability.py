@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from geomag._errors import InvalidInputError
 from geomag.cli import app
+from geomag.cli._checks import direction, not_negative, output, picture, positive
 from geomag.cli._common import jsonable, teller
 from geomag.io import read_grid
 
@@ -20,23 +20,38 @@ from geomag.io import read_grid
 )
 def suitability(
     map: Annotated[Path, typer.Argument(help="Map file.")],
-    speed: Annotated[float, typer.Option(help="Speed of the vehicle, m/s.")],
-    interval: Annotated[float, typer.Option(help="Seconds between samples.")] = 10.0,
-    samples: Annotated[int, typer.Option(help="Samples of the track that ends at a node.")] = 20,
+    speed: Annotated[float, typer.Option(callback=positive, help="Speed of the vehicle, m/s.")],
+    interval: Annotated[float, typer.Option(callback=positive, help="Seconds between samples.")] = 10.0,
+    samples: Annotated[int, typer.Option(min=2, help="Samples of the track that ends at a node.")] = 20,
     heading: Annotated[
-        list[float] | None, typer.Option(help="Heading, degrees; give it more than once for several. Default 0, 90.")
+        list[float] | None,
+        typer.Option(callback=direction, help="Heading, degrees; give it more than once for several. Default 0, 90."),
     ] = None,
-    sigma: Annotated[float, typer.Option(help="Standard deviation of a reading, value units.")] = 5.0,
+    sigma: Annotated[
+        float, typer.Option(callback=positive, help="Standard deviation of a reading, value units.")
+    ] = 5.0,
     map_error_m: Annotated[
-        float, typer.Option(help="Error of the map as a distance: its sigma is this times the gradient.")
+        float,
+        typer.Option(
+            callback=not_negative, help="Error of the map as a distance: its sigma is this times the gradient."
+        ),
     ] = 30.0,
-    tolerance_m: Annotated[float, typer.Option(help="Two standard deviations within this are a fix, m.")] = 500.0,
+    tolerance_m: Annotated[
+        float, typer.Option(callback=positive, help="Two standard deviations within this are a fix, m.")
+    ] = 500.0,
     flights: Annotated[
-        int, typer.Option(help="Also simulate this many calibrated flights at 12 x 12 places: the share that is fixed.")
+        int,
+        typer.Option(
+            min=0, help="Also simulate this many calibrated flights at 12 x 12 places: the share that is fixed."
+        ),
     ] = 0,
-    half_width_m: Annotated[float, typer.Option(help="Bound of the INS error of those flights, m.")] = 2000.0,
-    out: Annotated[Path | None, typer.Option(help="Write the results to this netCDF file.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Write a picture of the worst heading to this file.")] = None,
+    half_width_m: Annotated[
+        float, typer.Option(callback=positive, help="Bound of the INS error of those flights, m.")
+    ] = 2000.0,
+    out: Annotated[Path | None, typer.Option(callback=output, help="Write the results to this netCDF file.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(callback=picture, help="Write a picture of the worst heading to this file.")
+    ] = None,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")] = False,
@@ -44,8 +59,6 @@ def suitability(
     """Bound the position error of a straight track to every node of a map: where a fix can be had, how soon."""
     from geomag.blocks import position_bound
 
-    if not (speed > 0 and interval > 0):
-        raise InvalidInputError(f"--speed, --interval: needed numbers > 0, got {speed} and {interval}")
     grid = read_grid(map, variable, geographic=geographic)
     headings = heading or [0.0, 90.0]
     found = position_bound(
@@ -63,14 +76,24 @@ def suitability(
     told: dict[float, dict[str, float | None]] = {h: {} for h in headings}
     errors = np.stack([found[name].values for name in found if str(name).startswith("error_m")])
     soon = np.stack([found[name].values for name in found if str(name).startswith("samples")])
+    nodes = int(np.isfinite(grid.values).sum())
     for h, error, count in zip(headings, errors, soon, strict=True):
         known = ~np.isnan(error)
+        told[h] |= {
+            "share_with_fix": 0.0,
+            "share_reached": float(known.sum() / nodes),
+            "share_with_fix_of_reached": None,
+        }
         if not known.any():
             say(f"heading {h:5.1f}  no track of {samples} samples lies on the map")
             continue
         good = (2.0 * error <= tolerance_m) & known
-        told[h]["share_with_fix"] = float(good.sum() / known.sum())
-        text = f"heading {h:5.1f}  a fix on {good.sum() / known.sum():.0%} of the map"
+        told[h]["share_with_fix"] = float(good.sum() / nodes)
+        told[h]["share_with_fix_of_reached"] = float(good.sum() / known.sum())
+        text = (
+            f"heading {h:5.1f}  a fix on {good.sum() / nodes:.0%} of the map"
+            f" ({good.sum() / known.sum():.0%} of the nodes at which such a track can end)"
+        )
         if good.any():
             seconds, median = float(np.nanmedian(count[good])) * interval, float(np.median(error[good]))
             told[h] |= {"median_error_m": median, "median_time_s": seconds}

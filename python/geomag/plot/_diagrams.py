@@ -109,8 +109,9 @@ def reliability_points(
     floor = 2e-4
     if fresh:
         ax.plot([floor, 1], [floor, 1], color=COLOURS["neutral"], lw=1.0, ls=":", label="as declared")
-        ax.fill_between([floor, 1], [floor, 1], [1, 1], color=COLOURS["bad"], alpha=0.07, lw=0)
-        ax.text(0.0004, 0.55, "worse than declared", fontsize=8, color=COLOURS["bad"])
+        # Named in the legend: error bars may stand anywhere in it.
+        worse = "worse than declared"
+        ax.fill_between([floor, 1], [floor, 1], [1, 1], fc=(COLOURS["bad"], 0.07), lw=0, label=worse)
     shift = 1.0 + 0.06 * len(ax.containers)
     if points:
         mean, rate, lower, upper, count = (np.array(c) for c in zip(*points, strict=True))
@@ -124,7 +125,7 @@ def reliability_points(
     ax.set_xlabel("declared risk (mean of the bin)")
     ax.set_ylabel("observed rate of wrong fixes")
     ax.grid(True)
-    ax.legend(loc="lower right")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3, columnspacing=1.0)
     return ax
 
 
@@ -251,7 +252,8 @@ def error_distribution(
     ax.set_xlabel("position error (m)")
     ax.set_ylabel("share of trials (%)")
     ax.grid(True)
-    ax.legend(loc="upper left")
+    # Below the axes: a distribution may run through any corner.
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=min(2, len(errors_m)))
     if title:
         ax.set_title(title)
     return ax

@@ -265,15 +265,17 @@ def suitability_map(
     good_below : the limit of use; its contour is drawn and what lies beyond is hatched.
     title : of the axes.
     """
-    ax = new_axes(ax, 6.4, 5.2)
     shown, xs, ys = np.asarray(values, dtype=np.float64), np.asarray(x), np.asarray(y)
     if shown.shape != (ys.size, xs.size):
         raise InvalidInputError(f"suitability: needed shape ({ys.size}, {xs.size}) from the axes, got {shown.shape}")
     finite = shown[np.isfinite(shown)]
     if finite.size == 0:
         raise InvalidInputError("suitability: needed at least one value that is not NaN")
-    image = _image(ax, shown, xs, ys, cmap="viridis", vmin=finite.min(), vmax=np.percentile(finite, 98))
     east, north = metres_per_unit(geographic, float(ys.mean()))
+    tall = float((ys[-1] - ys[0]) * north / ((xs[-1] - xs[0]) * east))
+    # As wide as the map is, besides the colour bar, so that neither a tall nor a wide one leaves a part blank.
+    ax = new_axes(ax, max(3.4, min(5.0, 5.8 / tall) + 1.6), min(6.8, max(2.6, 5.0 * tall) + 0.9))
+    image = _image(ax, shown, xs, ys, cmap="viridis", vmin=finite.min(), vmax=np.percentile(finite, 98))
     ax.set_aspect(north / east)
     label_axes(ax, geographic, float(xs[-1] - xs[0]) * east)
     bar = ax.figure.colorbar(image, ax=ax, extend="max", shrink=0.75, pad=0.02, aspect=28)
@@ -282,8 +284,13 @@ def suitability_map(
     if good_below is not None and finite.min() < good_below < finite.max():
         beyond = np.ma.masked_invalid(shown)
         ax.contourf(xs, ys, beyond, levels=[good_below, float(finite.max())], colors="none", hatches=["////"])
-        ax.contour(xs, ys, beyond, levels=[good_below], colors="white", linewidths=1.2)
+        ax.contour(xs, ys, beyond, levels=[good_below], colors="white", linewidths=0.4)
         bar.ax.axhline(good_below, color="white", lw=1.5)
+        # Below the map: inside it would hide a part.
+        ax.annotate(
+            f"hatched: beyond {good_below:g} (white line)", (0.5, 0.0), (0, -38), xycoords="axes fraction",
+            textcoords="offset points", ha="center", va="top", fontsize=8, annotation_clip=False,
+        )  # fmt: skip
     scale_bar(ax, geographic=geographic)
     north_arrow(ax)
     if title:

@@ -12,6 +12,18 @@ use crate::state;
 ///
 /// Use it only where `ok` is true; otherwise `status` says why not: searching, ambiguous, at_edge, lost, uninformative,
 /// not_converged, rejected. An offset is true minus indicated position: what the fix adds to the INS.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 6000.0, 50.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 400)[None, :] * np.cos(x / 500)[:, None], x, x)
+/// >>> k = np.arange(30.0)
+/// >>> track = geomag.Track(1000 + 90 * k, 2000 + 40 * k, grid.sample(1210 + 90 * k, 1875 + 40 * k))
+/// >>> fix = geomag.match_grid(grid, track, half_width=500)
+/// >>> if fix.ok:
+/// ...     print([round(v) for v in fix.offset_m], round(fix.x - track.x[-1]), fix.risk)
+/// [210, -125] 210 None
 #[pyclass(frozen, name = "Fix", module = "geomag")]
 pub struct PyFix {
     /// The answer.

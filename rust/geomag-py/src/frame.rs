@@ -33,7 +33,7 @@ use crate::error::{PyRes, invalid};
 /// >>> frame = geomag.LocalFrame(33.0, 118.0)
 /// >>> north, east, down = frame.forward(34.0, 118.0, 0.0)
 /// >>> round(north), round(east), round(down)
-/// (110909, 0, 968)
+/// (110908, 0, 968)
 #[pyclass(frozen, name = "LocalFrame", module = "geomag")]
 #[derive(Clone)]
 pub struct PyLocalFrame {

@@ -56,7 +56,7 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 ///     Mean square difference, mean absolute difference, product correlation about the map's mean, normalised
 ///     cross-correlation, (partial) Hausdorff distance.
 /// half_width : float or (float, float)
-///     Half size of the search (x, y), map units.
+///     Half size of the search (x, y), map units; more than 0 along one of them.
 /// step : float or (float, float), optional
 ///     Lattice step, map units; the map spacing by default. Whole fractions of the spacing are fast.
 /// heading_deg, scale : sequence of float

@@ -18,7 +18,10 @@ use crate::track::PyTrack;
 /// Candidates from which a step is worth releasing the interpreter for.
 const MANY: usize = 50_000;
 
-/// What one sample did to the feasible set.
+/// What one sample did to the feasible set of an `Iema`.
+///
+/// `status` is `searching` while several candidates are left, `fixed` when they are near enough to each other, `lost` when
+/// none is; `fix` is the answer at this step, to be used where it is `ok`.
 #[pyclass(frozen, name = "IemaStep", module = "geomag")]
 pub struct PyIemaStep {
     inner: IemaStep,

@@ -20,7 +20,9 @@ fn covariance(object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
     Ok([[v[0], v[1]], [v[2], v[3]]])
 }
 
-/// A corrected position with its covariance.
+/// A position of the INS corrected by what the filter knows of its error; `before` and `after` of a `FeedbackStep`.
+///
+/// `x`, `y` are the indicated position plus `offset_m`, in map units.
 #[pyclass(frozen, name = "CorrectedPosition", module = "geomag")]
 pub struct PyCorrectedPosition {
     inner: CorrectedPosition,
@@ -59,7 +61,9 @@ impl PyCorrectedPosition {
     }
 }
 
-/// One step of the feedback.
+/// One step of an `InsFeedback`: the corrected position before and after the fix of this step.
+///
+/// Without a fix, and where the gate refuses it (`accepted` False with a `nis`), both are the same.
 #[pyclass(frozen, name = "FeedbackStep", module = "geomag")]
 pub struct PyFeedbackStep {
     inner: FeedbackStep,

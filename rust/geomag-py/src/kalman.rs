@@ -309,7 +309,7 @@ fn residual<'py>(py: Python<'py>, innovation: Option<&Innovation>) -> PyRes<Opti
 /// >>> ekf.predict([0.5], [[1.0]], 1.0)
 /// >>> ekf.update([2.5], [0.5], [[1.0]], 2.0)
 /// True
-/// >>> float(ekf.x[0])
+/// >>> round(float(ekf.x[0]), 9)
 /// 1.5
 #[pyclass(frozen, name = "ExtendedKalmanFilter", module = "geomag")]
 pub struct PyExtendedKalmanFilter {

@@ -35,6 +35,18 @@ use crate::harmonic::{PyHarmonicModel, main_vector, quantity};
 /// Notes
 /// -----
 /// Callable with a state that begins with x, y; `UnscentedKalmanFilter.update` takes it as h and reads it natively.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 3000.0, 50.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 400)[None, :] * np.cos(x / 500)[:, None], x, x)
+/// >>> sensor = geomag.FieldSensor(grid)
+/// >>> sensor.read([600.0, 700.0], 1000.0).shape, len(sensor)
+/// ((2, 1), 1)
+/// >>> ukf = geomag.UnscentedKalmanFilter([600.0, 1000.0], 50.0**2)
+/// >>> ukf.update(sensor.read(630.0, 1000.0), sensor, 1.0)
+/// True
 #[pyclass(frozen, name = "FieldSensor", module = "geomag")]
 pub struct PyFieldSensor {
     /// The sensor.
@@ -159,7 +171,10 @@ impl PyFieldSensor {
     }
 }
 
-/// Where the navigator is after a step.
+/// Where a `FieldNavigator` is after a step: position, its covariance, and what became of the reading.
+///
+/// A step whose `outcome` is not `updated` is dead reckoning; after `diverged` the position is not to be believed, and a
+/// matcher is needed for a new start.
 #[pyclass(frozen, name = "NavigatorStep", module = "geomag")]
 pub struct PyNavigatorStep {
     inner: NavigatorStep,

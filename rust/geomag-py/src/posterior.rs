@@ -44,7 +44,8 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
 
 /// Match a whole track and declare the risk that the answer is wrong.
 ///
-/// For fixes that somebody will act on. Not for tracks known to within tens of kilometres only on flat maps: it will decline.
+/// For fixes that somebody will act on. Where the map is flat, or the start known only to tens of kilometres, it will mostly
+/// decline.
 ///
 /// Parameters
 /// ----------
@@ -179,6 +180,22 @@ pub fn match_posterior(
 /// -------
 /// list of Fix
 ///     In the order of the tracks.
+///
+/// Raises
+/// ------
+/// InvalidInputError, TooFewSamplesError, CandidateLimitError
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 6000.0, 50.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 400)[None, :] * np.cos(x / 500)[:, None], x, x, sigma=0.0)
+/// >>> k, noise = np.arange(30.0), np.random.default_rng(1).normal(0, 1, 30)
+/// >>> readings = grid.sample(1210 + 90 * k, 1875 + 40 * k) + noise
+/// >>> tracks = [geomag.Track(1210 + e + 90 * k, 1875 + 40 * k, readings) for e in (-200.0, 50.0, 150.0)]
+/// >>> fixes = geomag.match_posterior_many(grid, tracks, half_width=500, sigma=1.0, tolerance_m=100)
+/// >>> [round(fix.offset_m[0], -1) for fix in fixes if fix.ok]
+/// [200.0, -50.0, -150.0]
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
     bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
@@ -223,7 +240,10 @@ pub fn match_posterior_many(
     Ok(fixes.into_iter().map(PyFix::from).collect())
 }
 
-/// What one sample did to a streaming matcher.
+/// What one sample did to a `PosteriorMatcher`.
+///
+/// `fix` is None at most samples: the posterior is taken again only when enough has come in to change it. Use a fix where
+/// ``step.fix is not None and step.fix.ok``.
 #[pyclass(frozen, name = "PosteriorStep", module = "geomag")]
 pub struct PyPosteriorStep {
     inner: PosteriorStep,
@@ -269,7 +289,40 @@ impl PyPosteriorStep {
     }
 }
 
-/// Streaming matcher with a declared risk.
+/// Calibrated matching sample by sample: `match_posterior` for a stream, with a fix as soon as its risk allows.
+///
+/// For a live track of any length; candidates that the samples exclude are dropped, and at most `max_samples` samples are
+/// kept, so that time and memory are bounded. It pickles, and goes on bit for bit. Not for a whole log: `match_posterior`.
+///
+/// Parameters
+/// ----------
+/// grid : GridMap
+///     The stored map. What is known of its errors goes with it: `sigma=`, or `geomag.survey.map_from_lines`.
+/// half_width : float or (float, float)
+///     Bound of the INS error (x, y), map units.
+/// max_samples : int
+///     Samples kept, at least 3; when there are more the oldest is let go.
+/// sigma, tolerance_m, max_risk, step, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, position_sigma_m, nu, min_overlap, min_goodness, max_candidates
+///     As in `match_posterior`.
+///
+/// Raises
+/// ------
+/// InvalidInputError, CandidateLimitError
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 6000.0, 50.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 400)[None, :] * np.cos(x / 500)[:, None], x, x, sigma=0.0)
+/// >>> k, noise = np.arange(30.0), np.random.default_rng(1).normal(0, 1, 30)
+/// >>> readings = grid.sample(1210 + 90 * k, 1875 + 40 * k) + noise
+/// >>> matcher = geomag.PosteriorMatcher(grid, half_width=500, sigma=1.0, tolerance_m=100)
+/// >>> for px, py, value in zip(1000 + 90 * k, 2000 + 40 * k, readings):
+/// ...     step = matcher.update(px, py, value)
+/// ...     if step.fix is not None and step.fix.ok:
+/// ...         break
+/// >>> step.status, step.risk <= 0.01, matcher.n_samples < 30
+/// ('fixed', True, True)
 #[pyclass(name = "PosteriorMatcher", module = "geomag")]
 pub struct PyPosteriorMatcher {
     inner: PosteriorMatcher,
@@ -311,7 +364,9 @@ impl PyPosteriorMatcher {
         Ok(Self { inner, grid: grid.clone().unbind() })
     }
 
-    /// Takes one sample.
+    /// Takes one sample: indicated position `x`, `y` (map units) and measured `value`. Returns a `PosteriorStep`.
+    ///
+    /// Raises `NotFiniteError` for a sample that is not finite; it is not taken.
     fn update(&mut self, x: f64, y: f64, value: f64) -> PyRes<PyPosteriorStep> {
         Ok(PyPosteriorStep { inner: self.inner.update(x, y, value)? })
     }
@@ -332,13 +387,15 @@ impl PyPosteriorMatcher {
         Ok(fix.into())
     }
 
-    /// The answer on the samples held.
+    /// The `Fix` on the samples held, whatever its status; the posterior is taken now, which `update` does not do at every sample.
+    ///
+    /// Raises `TooFewSamplesError` before there are enough samples.
     fn fix(&self, py: Python<'_>) -> PyRes<PyFix> {
         let fix = py.detach(|| self.inner.fix())?;
         Ok(fix.into())
     }
 
-    /// Forgets all samples.
+    /// Forgets all samples; every candidate is back.
     fn reset(&mut self) -> PyRes<()> {
         Ok(self.inner.reset()?)
     }
@@ -372,7 +429,10 @@ impl PyPosteriorMatcher {
     }
 }
 
-/// What is to be expected of a fix along a planned track.
+/// What is to be expected of a fix along a planned track; made by `predict_many`.
+///
+/// `bound_m2` and `covariance_m2` suppose that the right place is found; `fix_probability` and `wrong_share` say how often,
+/// counted over `flights` simulated flights.
 #[pyclass(frozen, name = "Prediction", module = "geomag")]
 pub struct PyPrediction {
     inner: Prediction,
@@ -462,6 +522,21 @@ impl PyPrediction {
 /// -------
 /// list of Prediction or None
 ///     None where the map is unknown along the track.
+///
+/// Raises
+/// ------
+/// InvalidInputError, CandidateLimitError
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, geomag
+/// >>> x = np.arange(0.0, 6000.0, 50.0)
+/// >>> grid = geomag.GridMap(90 * np.sin(x / 400)[None, :] * np.cos(x / 500)[:, None], x, x, sigma=0.0)
+/// >>> k = np.arange(30.0)
+/// >>> plan = geomag.Track(1210 + 90 * k, 1875 + 40 * k, 0 * k)
+/// >>> ahead, = geomag.predict_many(grid, [plan], half_width=500, sigma=1.0, tolerance_m=100, flights=10)
+/// >>> ahead.fix_probability > 0.5, bool(np.sqrt(np.trace(ahead.covariance_m2)) < 100)
+/// (True, True)
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, bias_sigma = None,
     drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, nu = None, flights = 20, seed = 0, progress = None))]

@@ -15,7 +15,7 @@ const TILE: usize = 16;
 /// Rows that go through a tile together.
 const ROWS: usize = 4;
 /// Greatest number of nodes: 6 GB of results.
-const MAX_NODES: usize = 1 << 28;
+pub(super) const MAX_NODES: usize = 1 << 28;
 
 impl RectangularHarmonicModel {
     /// Field (north, east, down) at the nodes of a grid at one level: `out[(i * east.len() + j)]` is the field at

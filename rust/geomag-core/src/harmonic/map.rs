@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::evaluate::{Evaluation, norm};
+use super::gridded::MAX_NODES;
 use super::{Positions, RectangularHarmonicModel};
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
@@ -180,8 +181,16 @@ impl HarmonicMap {
     /// Nodes outside the model's region are holes. The grid carries no sigma; ask the model for it.
     ///
     /// # Errors
-    /// As [`GridMap::from_axes`].
+    /// As [`GridMap::from_axes`]; [`Error::TooManyCandidates`] over 2^28 nodes, before memory is taken.
     pub fn to_grid(&self, x: Axis, y: Axis) -> Result<GridMap> {
+        let needed = x.len() as u128 * y.len() as u128;
+        if needed > MAX_NODES as u128 {
+            return Err(Error::TooManyCandidates {
+                what: "map of a harmonic model".into(),
+                needed,
+                limit: MAX_NODES as u64,
+            });
+        }
         let mut values = vec![f64::NAN; x.len() * y.len()];
         values.par_chunks_mut(x.len()).enumerate().for_each(|(row, out)| {
             let points: Vec<[f64; 3]> = (0..x.len()).map(|c| self.level.point(x.at(c), y.at(row))).collect();

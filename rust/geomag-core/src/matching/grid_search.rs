@@ -85,6 +85,10 @@ impl GridSearch {
         for (i, &s) in self.scale.iter().enumerate() {
             require_positive(&format!("scale[{i}]"), s)?;
         }
+        if self.half_width == [0.0; 2] {
+            // Nothing to compare it with: a single offset is neither ambiguous nor at an edge, wherever it is.
+            return Err(Error::invalid("half_width", "more than 0 along x or y", "0 along both: one candidate"));
+        }
         if !(self.min_overlap > 0.0 && self.min_overlap <= 1.0) {
             return Err(Error::invalid("min_overlap", "a share in (0, 1]", self.min_overlap));
         }

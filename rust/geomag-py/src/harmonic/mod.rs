@@ -107,10 +107,10 @@ fn flat(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
 /// --------
 /// >>> import numpy as np, geomag
 /// >>> north, east = (a.ravel() for a in np.meshgrid(np.linspace(-5e3, 5e3, 15), np.linspace(-5e3, 5e3, 15)))
-/// >>> bz = 30 * np.cos(north / 2e3)
-/// >>> field = np.stack([30 * np.sin(north / 2e3), 0 * bz, bz], axis=-1)
-/// >>> model = geomag.RectangularHarmonicModel.fit(north, east, 0.0, field, order=8)
-/// >>> abs(model.field(1e3, 0.0, 0.0)[2] - 30 * np.cos(0.5)) < 0.01
+/// >>> down = 30 * np.cos(north / 1e3)                    # of V = -3e4 cos(x / 1 km) exp(z / 1 km) at z = 0
+/// >>> field = np.stack([-30 * np.sin(north / 1e3), 0 * down, down], axis=-1)
+/// >>> model = geomag.RectangularHarmonicModel.fit(north, east, 0.0, field, order=12)
+/// >>> bool(abs(model.field(1e3, 0.0, -500.0)[2] - 30 * np.cos(1) * np.exp(-0.5)) < 0.02)
 /// True
 /// >>> model.field(9e4, 0.0, 0.0)
 /// array([nan, nan, nan])
@@ -174,6 +174,76 @@ fn pairs(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Region> {
 
 #[pymethods]
 impl PyHarmonicModel {
+    /// Fit a model to field vectors, anomalies or intensities at points of the frame.
+    ///
+    /// Parameters
+    /// ----------
+    /// north_m, east_m, down_m : array
+    ///     Points in the frame, metres, of shapes that broadcast to n points.
+    /// field : array of shape (n, 3) or (n,)
+    ///     North, east, down in the axes of the frame, NaN components left out; with `main_field` a scalar a point.
+    /// main_field : array of shape (3,) or (n, 3), optional
+    ///     Main field, north, east, down in the axes of the frame, in the unit of `field`: `field` is then a scalar.
+    /// kind : {'anomaly', 'intensity'}
+    ///     What the scalar is: the projection on the main field, or the length of main field plus model.
+    /// sigma : float or array of shape (n,), optional
+    ///     Standard deviation of the observations, field unit, > 0; all alike by default.
+    /// threads : int, optional
+    ///     Threads to use, all cores by default; the answer does not depend on it.
+    /// progress : bool or callable, optional
+    ///     True for a bar, or a callable (done, total).
+    /// order : int or sequence of int
+    ///     N, 0 to 60, 12 by default; ``3 + 2 N (N + 1)`` coefficients. Of several, here and in the other options that
+    ///     may be sequences, cross-validation takes the best.
+    /// period_ratio : float or sequence of float
+    ///     Periods over the extent of the points, >= 1; 1.5 by default, 1 is the paper's.
+    /// periods_m : (float, float), optional
+    ///     Periods (north, east) in metres instead.
+    /// ridge : float or sequence of float
+    ///     Ridge for columns of unit norm, 1e-9 by default; 0 for plain least squares.
+    /// truncation : float, optional
+    ///     Leave out singular values below this share of the largest, instead of a ridge.
+    /// damping_m, spectrum_power, anisotropy : float or sequence of float
+    ///     How the ridge grows with the wave number u: ``(u / u0)**spectrum_power * exp(2 u damping_m)``, u with the north
+    ///     counted more where `anisotropy` is above 1. For survey lines; 0, 0 and 1 by default: all alike.
+    /// huber : float, optional
+    ///     Huber's bound in standard deviations (1.345 is usual): larger residuals count linearly.
+    /// max_iterations : int
+    ///     Most solutions for intensities and for Huber's weights, 20 by default.
+    /// covariance : bool
+    ///     Keep the covariance of the coefficients, without which there is no `sigma`; True by default.
+    /// misfit : bool
+    ///     Learn `misfit` from left-out points, so that `sigma` holds what the order leaves out; False by default.
+    /// folds, groups, seed : int, sequence of n labels, int
+    ///     Parts of a cross-validation (5), points that are left out together (a label a point, of any kind), seed of the
+    ///     deal (0).
+    /// frame : LocalFrame, optional
+    ///     Where the frame is on the Earth: needed for degrees and heights later.
+    /// unit : str
+    ///     Unit of the field, 'nT' by default.
+    ///
+    /// Returns
+    /// -------
+    /// RectangularHarmonicModel
+    ///
+    /// Raises
+    /// ------
+    /// InvalidInputError, ShapeError, NotFiniteError
+    ///     For options out of range, arrays that do not fit each other, values that are not finite.
+    /// TooFewSamplesError
+    ///     For fewer numbers than coefficients, unless a prior (`damping_m`, `spectrum_power`) settles them.
+    /// RankDeficientError
+    ///     Where neither the points nor a ridge decide the coefficients.
+    ///
+    /// Examples
+    /// --------
+    /// >>> import numpy as np, geomag
+    /// >>> north, east = (a.ravel() for a in np.meshgrid(np.linspace(-5e3, 5e3, 15), np.linspace(-5e3, 5e3, 15)))
+    /// >>> down = 30 * np.cos(north / 1e3)
+    /// >>> field = np.stack([-30 * np.sin(north / 1e3), 0 * down, down], axis=-1)
+    /// >>> model = geomag.RectangularHarmonicModel.fit(north, east, 0.0, field, order=[6, 12])
+    /// >>> model.order, model.summary["n_observations"]
+    /// (12, 675)
     #[staticmethod]
     #[pyo3(signature = (north_m, east_m, down_m, field, *, main_field = None, kind = "anomaly", sigma = None,
                         threads = None, progress = None, **options))]
@@ -209,6 +279,24 @@ impl PyHarmonicModel {
         Self::fitted(py, &observations, threads, progress, options)
     }
 
+    /// Fit a model to a mixture of observations.
+    ///
+    /// Parameters
+    /// ----------
+    /// observations : FieldObservations
+    ///     Components, anomalies and intensities, each with its own sigma.
+    /// threads, progress, **options
+    ///     As in `fit`: `order`, `period_ratio`, `periods_m`, `ridge`, `truncation`, `damping_m`, `spectrum_power`, `anisotropy`,
+    ///     `huber`, `max_iterations`, `covariance`, `misfit`, `folds`, `groups`, `seed`, `frame`, `unit`.
+    ///
+    /// Returns
+    /// -------
+    /// RectangularHarmonicModel
+    ///
+    /// Raises
+    /// ------
+    /// InvalidInputError, ShapeError, NotFiniteError, TooFewSamplesError, RankDeficientError
+    ///     As `fit`.
     #[staticmethod]
     #[pyo3(signature = (observations, *, threads = None, progress = None, **options))]
     fn fit_observations(
@@ -221,6 +309,28 @@ impl PyHarmonicModel {
         Self::fitted(py, &observations.snapshot(), threads, progress, options)
     }
 
+    /// Cross-validate orders, period ratios, ridges and priors without keeping a model.
+    ///
+    /// Parameters
+    /// ----------
+    /// observations : FieldObservations
+    ///     What is fitted and left out.
+    /// threads, progress, **options
+    ///     As in `fit`; a list for `order`, `period_ratio`, `ridge`, `damping_m`, `spectrum_power` or `anisotropy` is tried in all
+    ///     combinations, in `folds` parts, with `groups` left out together.
+    ///
+    /// Returns
+    /// -------
+    /// best : dict
+    ///     The choice of least `rms`: `order`, `period_ratio`, `ridge`, `damping_m`, `spectrum_power`, `anisotropy`, `rms` (of the
+    ///     weighted residuals of what was left out) and `rms_error` (its standard error over the parts).
+    /// all : list of dict
+    ///     Every choice, in the order tried.
+    ///
+    /// Raises
+    /// ------
+    /// InvalidInputError, ShapeError, NotFiniteError, TooFewSamplesError, RankDeficientError
+    ///     As `fit`; also for fewer than two parts and fewer labels than parts.
     #[staticmethod]
     #[pyo3(signature = (observations, *, threads = None, progress = None, **options))]
     fn select<'py>(
@@ -255,6 +365,25 @@ impl PyHarmonicModel {
         Ok((best, list))
     }
 
+    /// Predict each part of the observations from the others: how far off a model is where it was not fitted.
+    ///
+    /// Parameters
+    /// ----------
+    /// observations : FieldObservations
+    ///     What is fitted and left out; n numbers.
+    /// threads, progress, **options
+    ///     As in `fit`, one value each (of several the first counts); `folds` parts, with `groups` left out together.
+    ///
+    /// Returns
+    /// -------
+    /// dict
+    ///     `errors` (n,), observed minus predicted, and `sigma` (n,), of the coefficients alone, both in the unit of the field;
+    ///     `nugget` and `scale`, the `misfit` that agrees with them best.
+    ///
+    /// Raises
+    /// ------
+    /// InvalidInputError, ShapeError, NotFiniteError, TooFewSamplesError, RankDeficientError
+    ///     As `fit`; also for fewer than two parts and fewer labels than parts.
     #[staticmethod]
     #[pyo3(signature = (observations, *, threads = None, progress = None, **options))]
     fn leave_out<'py>(
@@ -280,6 +409,32 @@ impl PyHarmonicModel {
         Ok(out)
     }
 
+    /// A model from coefficients that are known.
+    ///
+    /// Parameters
+    /// ----------
+    /// order : int
+    ///     N.
+    /// periods_m : (float, float)
+    ///     Periods (north, east), metres, > 0.
+    /// coefficients : array of shape (3 + 2 N (N + 1),)
+    ///     A, B, C, then those of `terms(order)`; field unit times metre, A, B and C field unit.
+    /// region : array of shape (3, 2)
+    ///     From and to along north, east and down, metres: where the model answers.
+    /// frame : LocalFrame, optional
+    ///     Where the frame is on the Earth.
+    /// unit : str
+    ///     Unit of the field.
+    /// covariance : array of shape (n, n), optional
+    ///     Covariance of the coefficients, for `sigma`.
+    ///
+    /// Returns
+    /// -------
+    /// RectangularHarmonicModel
+    ///
+    /// Raises
+    /// ------
+    /// InvalidInputError, ShapeError, NotFiniteError
     #[staticmethod]
     #[pyo3(signature = (order, periods_m, coefficients, *, region, frame = None, unit = "nT", covariance = None))]
     fn from_coefficients(
@@ -485,6 +640,23 @@ impl PyHarmonicModel {
         }
     }
 
+    /// A model from a file that `to_json` wrote, or from its text.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str or path
+    ///     The file; a text that begins with a brace is taken as the model itself.
+    ///
+    /// Returns
+    /// -------
+    /// RectangularHarmonicModel
+    ///
+    /// Raises
+    /// ------
+    /// MissingFileError, ReadError
+    ///     Where the file is not there or cannot be read.
+    /// StateError
+    ///     Where it holds no model.
     #[staticmethod]
     fn from_json(py: Python<'_>, path: &Bound<'_, PyAny>) -> PyRes<Self> {
         let given: Option<String> = path.extract().ok();
