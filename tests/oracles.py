@@ -240,4 +240,5 @@ class NaiveIema:
         best = np.argmax(np.where(self.T, self.logS, -np.inf))
         r, c = divmod(int(best), len(self.ox))
         done = extent[0] <= self.tolerance[0] + 1e-12 and extent[1] <= self.tolerance[1] + 1e-12 and self.tested[r, c]
-        return ("fixed" if done else "searching"), extent, (self.ox[c], self.oy[r])
+        offset = (self.ox[c], self.oy[r]) if self.tested[self.T].any() else (math.nan, math.nan)
+        return ("fixed" if done else "searching"), extent, offset

@@ -116,6 +116,18 @@ def test_refuses_what_is_no_place(bad):
         geomag.LocalFrame(*bad)
 
 
+def test_refuses_latitudes_beyond_the_poles():
+    frame = geomag.LocalFrame(47.0, 7.0)
+    with pytest.raises(geomag.InvalidInputError, match=r"latitude_deg\[1\]: .*got 91"):
+        frame.forward([47.0, 91.0], 7.0, 0.0)
+    with pytest.raises(geomag.InvalidInputError, match="latitude_deg"):
+        frame.rotate_to_origin(-90.5, 7.0, [1.0, 2.0, 3.0])
+    with pytest.raises(geomag.InvalidInputError, match="latitude_deg"):
+        frame.rotate_from_origin(-90.5, 7.0, 1.0, 2.0, 3.0)
+    assert np.isfinite(frame.forward([-90.0, 90.0], 7.0, 0.0)).all()
+    assert np.isnan(frame.forward(np.nan, 7.0, 0.0)).all()
+
+
 def test_refuses_unknown_figures_and_vectors():
     with pytest.raises(geomag.InvalidInputError, match="wgs84"):
         geomag.LocalFrame(0.0, 0.0, earth="flat")

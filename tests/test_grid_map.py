@@ -178,6 +178,27 @@ def test_bad_maps_say_what_is_wrong(change, error, match):
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_an_infinite_value_is_named_where_the_caller_put_it(dtype):
+    values = np.zeros((60, 50), dtype)
+    values[3, 7] = np.inf
+    x, y = np.arange(50.0), 100 - np.arange(60.0)
+    with pytest.raises(geomag.NotFiniteError, match=r"row 3, column 7 \(x 7, y 97\)"):
+        geomag.GridMap(values, x, y)
+    with pytest.raises(geomag.NotFiniteError, match=r"row 3, column 7 \(x 42, y 97\)"):
+        geomag.GridMap(values, x[::-1], y)
+    with pytest.raises(geomag.InvalidInputError, match=r"sigma\[3, 7\]"):
+        geomag.GridMap(np.zeros((60, 50)), x, y, sigma=values)
+
+
+def test_there_is_no_scale_beyond_the_poles():
+    degrees = geomag.GridMap(np.zeros((3, 4)), [0, 1, 2, 3], [80, 81, 82], geographic=True)
+    for y in (95.0, -90.1):
+        with pytest.raises(geomag.InvalidInputError, match="latitude"):
+            degrees.metres_per_unit(y)
+    assert geomag.GridMap(np.zeros((3, 4)), [0, 1, 2, 3], [80, 81, 82]).metres_per_unit(95.0) == (1.0, 1.0)
+
+
 numbers = st.floats(allow_nan=True, allow_infinity=True, width=64)
 
 

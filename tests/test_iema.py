@@ -218,3 +218,31 @@ def test_a_bad_sample_leaves_the_state_as_it_was(sample):
         iema.update(*sample)
     np.testing.assert_array_equal(iema.log_scores, before)
     assert iema.n_samples == 1
+
+
+def test_nothing_tested_is_no_offset():
+    _, values, x, y = make(0)
+    iema = geomag.Iema(geomag.GridMap(values, x, y), sigma=1.0, half_width=0.05)
+    step = iema.update(12.0, 40.4, 1.0)
+    assert (step.status, step.n_feasible) == ("searching", 11 * 7)
+    assert np.isnan([*step.best_offset, step.log_score, step.runner_up]).all()
+    fix = iema.run(geomag.Track([12.0, 12.01], [40.4, 40.41], [1.0, 2.0]))
+    assert (fix.status, fix.n_samples, len(fix.track)) == ("searching", 2, 0)
+    assert np.isnan([fix.x, fix.y, *fix.offset, *fix.offset_m, fix.score, fix.runner_up]).all()
+    on_map = iema.update(10.2, 40.4, values[20, 20])
+    assert np.isfinite([*on_map.best_offset, on_map.log_score]).all()
+
+
+def test_many_candidates_are_the_same_as_few():
+    """Large lattices go through the threads; the same candidates in a small one do not."""
+    _, values, x, y = make(3)
+    grid = geomag.GridMap(values, x, y)
+    large = geomag.Iema(grid, sigma=60.0, half_width=0.2, step=(0.001, 0.001), max_misses=1)
+    small = geomag.Iema(grid, sigma=60.0, half_width=0.05, step=(0.001, 0.001), max_misses=1)
+    for k in range(6):
+        sample = (10.21 + 0.007 * k, 40.37 + 0.004 * k, values[20, 20])
+        step = large.update(*sample)
+        small.update(*sample)
+        assert step.n_feasible == np.isfinite(large.log_scores).sum()
+        assert step.n_feasible > 2**15
+    np.testing.assert_allclose(large.log_scores[150:251, 150:251], small.log_scores, rtol=1e-12)

@@ -131,6 +131,18 @@ def test_callables_may_look_at_the_filter_and_may_fail():
     np.testing.assert_array_equal(before, ukf.P)
 
 
+@pytest.mark.parametrize("gate", [np.nan, -1.0, 0.0])
+def test_a_gate_that_no_reading_can_pass_is_refused(gate):
+    ukf = geomag.UnscentedKalmanFilter([0.0], 1.0)
+    ekf = geomag.ExtendedKalmanFilter([0.0], 1.0)
+    with pytest.raises(geomag.InvalidInputError, match="gate"):
+        ukf.update([1.0], [[1.0]], 1.0, gate=gate)
+    with pytest.raises(geomag.InvalidInputError, match="gate"):
+        ekf.update([1.0], [0.0], [[1.0]], 1.0, gate=gate)
+    assert ukf.nis is ekf.nis is None
+    assert ukf.update([1.0], [[1.0]], 1.0, gate=np.inf)
+
+
 def test_gate_state_and_words():
     ukf = geomag.UnscentedKalmanFilter([0.0], 1.0)
     assert ukf.nis is None

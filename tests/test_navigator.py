@@ -191,3 +191,18 @@ def test_a_run_equals_filterpy_with_a_numpy_field():
         theirs.update(z)
         nav.step(1.0, e7.SPEED_M_S, e7.COURSE_DEG, z)
     np.testing.assert_allclose(nav.position, theirs.x, atol=1e-6)
+
+
+def test_a_reading_is_refused_where_it_chooses_nothing():
+    x = np.arange(0.0, 1000.0, 20.0)
+    grid = geomag.GridMap(np.sin(x / 140)[None, :] + np.cos(x / 120)[:, None], x, x)
+    options = {"start": (300.0, 500.0), "covariance_m2": 100.0, "reading_sigma": 1.0}
+    for name in ("x", "north", "vector"):
+        with pytest.raises(geomag.InvalidInputError, match="reading: needed none with a map"):
+            geomag.FieldNavigator(grid, reading=name, **options)
+        with pytest.raises(geomag.InvalidInputError, match="reading: needed none with a map"):
+            geomag.FieldSensor(grid, reading=name)
+        with pytest.raises(geomag.InvalidInputError, match="FieldSensor"):
+            geomag.FieldNavigator(geomag.FieldSensor(grid), reading=name, **options)
+    sensor = pickle.loads(pickle.dumps(geomag.FieldSensor(grid)))
+    assert geomag.FieldNavigator(sensor, **options).position == (300.0, 500.0)

@@ -298,6 +298,7 @@ def test_declared_risk_holds_in_simulation(grid, extra, told):
 def test_prediction_bounds_what_happens(grid):
     tracks = [flight(grid, (0, 0), seed=s) for s in range(60)]
     predicted = geomag.predict_many(grid, tracks, half_width=500, sigma=0.5, tolerance_m=300, flights=0)
+    assert "no flights simulated" in repr(predicted[0])
     result = assess(
         grid,
         tracks,

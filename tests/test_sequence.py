@@ -108,6 +108,8 @@ def test_tuning():
     calls = []
     geomag.tune_sequence(grid, planned, progress=lambda done, total: calls.append((done, total)), **options)
     assert calls[-1][0] == calls[-1][1]
+    with pytest.raises(geomag.InvalidInputError, match="at least one weight > 0"):
+        geomag.tune_sequence(grid, planned, weights=(0, 0), **options)
     with pytest.raises(geomag.InvalidInputError, match="method"):
         geomag.tune_sequence(grid, planned, method="annealing", **options)
     with pytest.raises(geomag.TooFewSamplesError):

@@ -826,7 +826,7 @@ class FieldSensor:
         cls,
         source: RectangularHarmonicModel | GridMap | HarmonicMap,
         *,
-        reading: _Reading = "vector",
+        reading: _Reading | None = None,
         main_field: ArrayLike | None = None,
         down_m: float | None = None,
         height_m: float | None = None,
@@ -839,7 +839,7 @@ class FieldSensor:
     @staticmethod
     def _restore(
         source: Any,
-        reading: str,
+        reading: str | None,
         main_field: Sequence[float] | None,
         down_m: float | None,
         height_m: float | None,
@@ -885,7 +885,7 @@ class FieldNavigator:
         alpha: float = 1.0,
         beta: float = 2.0,
         kappa: float = 0.0,
-        reading: _Reading = "vector",
+        reading: _Reading | None = None,
         main_field: ArrayLike | None = None,
         down_m: float | None = None,
         height_m: float | None = None,

@@ -156,7 +156,9 @@ impl Method {
             }
             Self::Grid(search) => Ok((match_grid(&**map, track, search, &Quiet)?, last)),
             Self::Hausdorff { length_scale_m, value_scale, fraction, search } => {
-                let criterion = Criterion::hausdorff(track, map.geographic(), *length_scale_m, *value_scale, *fraction);
+                let measured = track.weighted(search.weights.as_deref())?;
+                let criterion =
+                    Criterion::hausdorff(&measured, map.geographic(), *length_scale_m, *value_scale, *fraction);
                 Ok((match_grid(&**map, track, &GridSearch { criterion, ..search.clone() }, &Quiet)?, last))
             }
             Self::Posterior { sigma, options } => Ok((match_posterior(&**map, track, *sigma, options)?, last)),

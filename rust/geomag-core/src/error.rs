@@ -51,7 +51,7 @@ pub enum Error {
     },
     /// A search would exceed the caller's own limit; refused before memory is taken.
     #[error(
-        "{what}: needs {needed} candidates, max_candidates allows {limit}; raise it, enlarge the step or shrink the search"
+        "{what}: needs {needed} candidates, the limit is {limit}; raise max_candidates (lattices end at 2^31), enlarge the step or shrink the search"
     )]
     TooManyCandidates {
         /// The search.
@@ -60,6 +60,32 @@ pub enum Error {
         needed: u128,
         /// The limit in force.
         limit: u64,
+    },
+    /// Memory that the system does not grant.
+    #[error(
+        "{what}: needs {bytes} bytes of memory, more than the system grants; enlarge the step or shrink the search"
+    )]
+    NoMemory {
+        /// What needs it.
+        what: String,
+        /// Bytes asked for.
+        bytes: u128,
+    },
+    /// A value of a map that must be finite, or NaN for a hole, is infinite.
+    #[error("{what}: needed finite numbers (NaN for a hole), got {got} at row {row}, column {column} (x {x}, y {y})")]
+    NotFiniteNode {
+        /// The map.
+        what: String,
+        /// Row of the node, in the order that the values were given in.
+        row: usize,
+        /// Column of the node, in that order.
+        column: usize,
+        /// Its x as given.
+        x: f64,
+        /// Its y as given.
+        y: f64,
+        /// The value.
+        got: f64,
     },
     /// A matrix that must be positive definite is not, after bounded regularisation.
     #[error("{what}: needed a positive definite matrix, got one whose factorisation fails ({detail})")]
@@ -108,6 +134,20 @@ impl Error {
     }
 }
 
+/// Asks the system whether it would grant room for `len` numbers, so that a large request is refused and does not end
+/// the process.
+pub(crate) fn grantable<T>(what: &str, len: usize) -> Result<()> {
+    room::<T>(what, len).map(drop)
+}
+
+/// An empty vector with room for `len` numbers.
+pub(crate) fn room<T>(what: &str, len: usize) -> Result<Vec<T>> {
+    let mut room = Vec::new();
+    let bytes = len as u128 * size_of::<T>() as u128;
+    room.try_reserve_exact(len).map_err(|_| Error::NoMemory { what: what.into(), bytes })?;
+    Ok(room)
+}
+
 /// Refuses a slice with a NaN or infinite element, naming the first.
 ///
 /// # Errors
@@ -133,4 +173,33 @@ pub fn require_positive(what: &str, value: f64) -> Result<f64> {
 /// [`Error::Invalid`].
 pub fn require_not_negative(what: &str, value: f64) -> Result<f64> {
     if value.is_finite() && value >= 0.0 { Ok(value) } else { Err(Error::invalid(what, "a finite number >= 0", value)) }
+}
+
+/// Refuses weights that are not one for each of `n` samples, are no numbers >= 0 or are all zero.
+///
+/// # Errors
+/// [`Error::Shape`], [`Error::Invalid`].
+pub fn require_weights(weights: &[f64], n: usize) -> Result<()> {
+    if weights.len() != n {
+        return Err(Error::shape("weights", format!("({n},) as the track"), format!("({},)", weights.len())));
+    }
+    for (k, &w) in weights.iter().enumerate() {
+        require_not_negative(&format!("weights[{k}]"), w)?;
+    }
+    if weights.iter().all(|w| *w == 0.0) {
+        return Err(Error::invalid("weights", "at least one weight > 0", "zeros only"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_that_no_system_has_is_an_error() {
+        let bytes = 8 << 60;
+        assert_eq!(grantable::<f64>("scores", 1 << 60), Err(Error::NoMemory { what: "scores".into(), bytes }));
+        assert!(room::<f64>("scores", 1 << 10).unwrap().capacity() >= 1 << 10);
+    }
 }

@@ -167,11 +167,20 @@ impl LocalFrame {
         self.earth
     }
 
-    /// North, east, down in metres of a geographic point (degrees, degrees, metres). NaN gives NaN.
+    /// North, east, down in metres of a geographic point (degrees, degrees, metres). NaN gives NaN, and so does a
+    /// latitude beyond a pole.
     ///
     /// Written with differences of sines and of radii of curvature, so that the rounding is that of the distance and
     /// not that of the Earth's radius.
     pub fn forward(&self, latitude_deg: f64, longitude_deg: f64, height_m: f64) -> [f64; 3] {
+        if latitude_deg.abs() > 90.0 {
+            return [f64::NAN; 3];
+        }
+        self.forward_of(latitude_deg, longitude_deg, height_m)
+    }
+
+    /// [`LocalFrame::forward`] by the formula alone: on the way to an inverse a latitude may step over a pole.
+    fn forward_of(&self, latitude_deg: f64, longitude_deg: f64, height_m: f64) -> [f64; 3] {
         let (a, e2) = self.earth.shape();
         let (sin, cos) = sin_cos_deg(latitude_deg);
         let half_latitude = (0.5 * (latitude_deg - self.latitude_deg)).to_radians();
@@ -226,7 +235,7 @@ impl LocalFrame {
         let mut height = axis * cos + polar * sin - a * (1.0 - e2 * sin * sin).sqrt();
         latitude = latitude.to_degrees();
         for _ in 0..2 {
-            let found = self.forward(latitude, longitude, height);
+            let found = self.forward_of(latitude, longitude, height);
             let miss = [point_m[0] - found[0], point_m[1] - found[1], point_m[2] - found[2]];
             let [north, east, down] = self.from_origin(latitude, longitude, miss);
             let (sin, cos) = sin_cos_deg(latitude);
@@ -387,6 +396,7 @@ mod tests {
         assert!(matches!(LocalFrame::new(f64::NAN, 0.0, 0.0, Earth::Wgs84), Err(Error::NotFinite { .. })));
         let sphere = Earth::Sphere { radius_m: 0.0 };
         assert!(matches!(LocalFrame::new(0.0, 0.0, 0.0, sphere), Err(Error::Invalid { .. })));
-        assert!(LocalFrame::new(0.0, 0.0, 0.0, Earth::Wgs84).unwrap().forward(f64::NAN, 0.0, 0.0)[0].is_nan());
+        let frame = LocalFrame::new(0.0, 0.0, 0.0, Earth::Wgs84).unwrap();
+        assert!([f64::NAN, 91.0, -90.5].iter().all(|&latitude| frame.forward(latitude, 0.0, 0.0)[0].is_nan()));
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result, require_finite};
+use crate::error::{Error, Result, require_finite, require_weights};
 
 /// Indicated positions and measured values, oldest first.
 ///
@@ -108,6 +108,17 @@ impl Track {
             self.values[range.clone()].to_vec(),
             self.time_s.as_ref().map(|t| t[range].to_vec()),
         )
+    }
+
+    /// The samples whose weight is not zero, as a track of their own; all of them without `weights`.
+    ///
+    /// # Errors
+    /// As [`require_weights`].
+    pub fn weighted(&self, weights: Option<&[f64]>) -> Result<Self> {
+        let Some(weights) = weights else { return Ok(self.clone()) };
+        require_weights(weights, self.len())?;
+        let pick = |from: &[f64]| from.iter().zip(weights).filter(|(_, w)| **w > 0.0).map(|(v, _)| *v).collect();
+        Self::new(pick(&self.x), pick(&self.y), pick(&self.values), self.time_s.as_deref().map(pick))
     }
 
     /// Standard deviation of the readings.

@@ -28,9 +28,9 @@ impl From<Error> for PyError {
     fn from(error: Error) -> Self {
         let name = match &error {
             Error::Shape { .. } => "ShapeError",
-            Error::NotFinite { .. } => "NotFiniteError",
+            Error::NotFinite { .. } | Error::NotFiniteNode { .. } => "NotFiniteError",
             Error::TooFewSamples { .. } => "TooFewSamplesError",
-            Error::TooManyCandidates { .. } => "CandidateLimitError",
+            Error::TooManyCandidates { .. } | Error::NoMemory { .. } => "CandidateLimitError",
             Error::NotPositiveDefinite { .. } => "NotPositiveDefiniteError",
             Error::RankDeficient { .. } => "RankDeficientError",
             Error::State { .. } => "StateError",

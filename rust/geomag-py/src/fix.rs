@@ -154,7 +154,7 @@ impl PyFix {
         Ok(Some((shaped(py, axis(s.columns, 0), &[s.columns])?, shaped(py, axis(s.rows, 1), &[s.rows])?)))
     }
 
-    /// Everything but track and surface as plain Python values.
+    /// Everything but `track` and `surface`, which may be large, as plain Python values; `geomag match --json` adds them.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyDict>> {
         let d = PyDict::new(py);
         let f = &self.inner;

@@ -69,6 +69,14 @@ pub fn stacked<'py>(py: Python<'py>, values: Vec<[f64; 3]>, shape: &[usize]) -> 
     shaped(py, values.into_flattened(), &full)
 }
 
+/// Refuses latitudes beyond the poles, which the formulas would take for places on the other side.
+pub fn require_latitudes(latitude_deg: &[f64]) -> PyRes<()> {
+    match latitude_deg.iter().position(|l| l.abs() > 90.0) {
+        Some(i) => Err(invalid(&format!("latitude_deg[{i}]"), "a latitude in [-90, 90] degrees", latitude_deg[i])),
+        None => Ok(()),
+    }
+}
+
 impl PyLocalFrame {
     fn rotate<'py>(
         &self,
@@ -84,6 +92,7 @@ impl PyLocalFrame {
                 let (vectors, shape) = vectors("vector", &vector.get_item(0)?)?;
                 let ([latitude, longitude], places) =
                     broadcast(["latitude_deg", "longitude_deg"], [latitude_deg, longitude_deg])?;
+                require_latitudes(&latitude)?;
                 let n = latitude.len().max(vectors.len());
                 if places != shape && latitude.len() != 1 && vectors.len() != 1 {
                     return Err(
@@ -105,6 +114,7 @@ impl PyLocalFrame {
                 let (n, e, d) = (vector.get_item(0)?, vector.get_item(1)?, vector.get_item(2)?);
                 let names = ["latitude_deg", "longitude_deg", "north", "east", "down"];
                 let ([lat, lon, n, e, d], shape) = broadcast(names, [latitude_deg, longitude_deg, &n, &e, &d])?;
+                require_latitudes(&lat)?;
                 let turned =
                     py.detach(|| (0..n.len()).map(|i| turn(frame, lat[i], lon[i], [n[i], e[i], d[i]])).collect());
                 Ok(triple(py, turned, &shape)?.into_pyobject(py)?.into_any())
@@ -164,6 +174,8 @@ impl PyLocalFrame {
     }
 
     /// North, east, down (metres, in the frame) of geographic points (degrees, degrees, metres), three arrays of their shape.
+    ///
+    /// NaN gives NaN; raises `InvalidInputError` for a latitude beyond a pole.
     #[pyo3(signature = (latitude_deg, longitude_deg, height_m = None))]
     fn forward<'py>(
         &self,
@@ -175,6 +187,7 @@ impl PyLocalFrame {
         let zero = 0.0_f64.into_pyobject(py).map_err(PyErr::from)?.into_any();
         let names = ["latitude_deg", "longitude_deg", "height_m"];
         let ([lat, lon, h], shape) = broadcast(names, [latitude_deg, longitude_deg, height_m.unwrap_or(&zero)])?;
+        require_latitudes(&lat)?;
         let out = py.detach(|| (0..lat.len()).map(|i| self.inner.forward(lat[i], lon[i], h[i])).collect());
         triple(py, out, &shape)
     }

@@ -147,6 +147,10 @@ impl PyGridMap {
                     let got = format!("({sigma_rows}, {sigma_columns})");
                     return Err(Error::shape("sigma", format!("({rows}, {columns}) as values"), got).into());
                 }
+                if let Some(i) = layer.iter().position(|s| s.is_infinite() || *s < 0.0) {
+                    let place = format!("sigma[{}, {}]", i / columns, i % columns);
+                    return Err(invalid(&place, "a finite number >= 0 (NaN where unknown)", layer[i]));
+                }
                 let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
                 MapSigma::Grid((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
             };
@@ -306,9 +310,14 @@ impl PyGridMap {
     }
 
     /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
-    fn metres_per_unit(&self, y: f64) -> (f64, f64) {
+    ///
+    /// Raises `InvalidInputError` for a latitude beyond a pole.
+    fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
+        if self.inner.geographic() && y.abs() > 90.0 {
+            return Err(invalid("y of a geographic map", "a latitude in [-90, 90] degrees", y));
+        }
         let [east, north] = self.inner.metres_per_unit(y);
-        (east, north)
+        Ok((east, north))
     }
 
     /// Values at points; arrays of any shape are broadcast. NaN off the map and next to holes.

@@ -1,5 +1,6 @@
 //! `match_grid`.
 
+use geomag_core::error::require_positive;
 use geomag_core::lattice::{DEFAULT_MAX_CANDIDATES, Pivot};
 use geomag_core::matching::grid_search::{GridSearch, match_grid};
 use geomag_core::matching::similarity::{Criterion, Robust};
@@ -66,7 +67,7 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 /// remove_mean : bool
 ///     Take out a constant: the mean for 'msd', the median for 'mad' (and for robust losses).
 /// weights : array of shape (n,), optional
-///     One weight a sample.
+///     One weight a sample. A sample of weight zero is as if it had not been measured; its position alone remains.
 /// robust : {None, 'huber', 'student_t'}
 ///     Loss in place of the square; `robust_scale` in value units, `nu` degrees of freedom.
 /// length_scale_m, value_scale, fraction : float
@@ -85,15 +86,16 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 /// surface : bool
 ///     Return the score surface with the fix.
 /// max_candidates : int
-///     A larger search is refused before memory is taken.
+///     A larger search is refused before memory is taken; a lattice of more than 2^31 offsets always is. 8 bytes each.
 /// threads : int, optional
-///     Threads to use, all cores by default; the answer does not depend on it.
+///     Threads to use, 1 to 512, all cores by default; the answer does not depend on it.
 /// progress : bool or callable, optional
 ///     True for a bar, or a callable (done, total).
 ///
 /// Returns
 /// -------
 /// Fix
+///     Its status is `lost` where no candidate brings the track onto the map.
 ///
 /// Raises
 /// ------
@@ -144,17 +146,20 @@ pub fn py_match_grid(
     threads: Option<usize>,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<PyFix> {
+    check_unused(length_scale_m, value_scale, fraction, robust_scale, nu)?;
     let field = field(grid)?;
     let samples = &*track.inner;
+    let weights = optional_vector("weights", weights)?;
+    let measured = samples.weighted(weights.as_deref())?;
     let search = GridSearch {
-        criterion: self::criterion(criterion, samples, field.geographic(), length_scale_m, value_scale, fraction)?,
+        criterion: self::criterion(criterion, &measured, field.geographic(), length_scale_m, value_scale, fraction)?,
         half_width: pair("half_width", half_width)?,
         step: step.map(|s| pair("step", s)).transpose()?,
         heading_deg: heading_deg.map_or(Ok(vec![0.0]), |h| vector("heading_deg", h))?,
         scale: scale.map_or(Ok(vec![1.0]), |s| vector("scale", s))?,
         pivot: self::pivot(pivot)?,
         remove_mean,
-        weights: optional_vector("weights", weights)?,
+        weights,
         robust: self::robust(robust, robust_scale, nu)?,
         interpolation: interpolation(method)?,
         min_overlap,
@@ -170,6 +175,24 @@ pub fn py_match_grid(
     let fix =
         long_call::run(py, units as u64, threads, progress, |monitor| match_grid(&*field, samples, &search, monitor))?;
     Ok(fix.into())
+}
+
+/// Refuses nonsense in options of other criteria as well: whoever gave it expects it to act.
+fn check_unused(
+    length_scale_m: Option<f64>,
+    value_scale: Option<f64>,
+    fraction: f64,
+    robust_scale: Option<f64>,
+    nu: f64,
+) -> PyRes<()> {
+    let given = [("length_scale_m", length_scale_m), ("value_scale", value_scale), ("robust_scale", robust_scale)];
+    for (what, number) in given.into_iter().chain([("nu", Some(nu))]) {
+        number.map(|number| require_positive(what, number)).transpose()?;
+    }
+    if !(fraction > 0.0 && fraction <= 1.0) {
+        return Err(invalid("fraction", "a number in (0, 1]", fraction));
+    }
+    Ok(())
 }
 
 /// Reads the name of a pivot.

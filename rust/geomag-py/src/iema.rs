@@ -54,7 +54,7 @@ impl PyIemaStep {
         self.inner.extent.into()
     }
 
-    /// Offset (x, y) of the greatest score, map units; NaN when lost.
+    /// Offset (x, y) of the greatest score, map units; NaN when lost and until a candidate had a map value.
     #[getter]
     fn best_offset(&self) -> (f64, f64) {
         self.inner.best_offset.into()
@@ -112,7 +112,8 @@ impl PyIemaStep {
 /// gate : float
 ///     Gate in standard deviations; 3 in the paper.
 /// max_candidates : int
-///     A larger lattice is refused before memory is taken.
+///     A larger lattice is refused before memory is taken; one of more than 2^31 offsets always is. Each candidate that is
+///     left after the first sample takes 24 bytes, and as much again while they are gathered.
 ///
 /// Notes
 /// -----

@@ -13,6 +13,9 @@ use crate::error::{PyRes, invalid};
 /// Work below this many units is done at once: starting a thread would cost more than it takes.
 const SHORT: u64 = 20_000_000;
 
+/// Threads that a caller can ask for: starting a million would take for ever.
+const MOST_THREADS: usize = 512;
+
 struct Shared {
     stop: AtomicBool,
     done: AtomicU64,
@@ -30,7 +33,7 @@ impl Monitor for Shared {
 /// Runs `work` without the interpreter. Where it is long (`units`, about a nanosecond each) or `progress` is wanted,
 /// signals are checked and progress is reported about ten times a second.
 ///
-/// `threads` limits the threads of the computation; all cores where it is None.
+/// `threads` limits the threads of the computation, 1 to 512; all cores where it is None.
 ///
 /// `progress` is None or False, True (a bar on standard error), or a callable `(done, total)`.
 pub fn run<T: Send>(
@@ -52,7 +55,9 @@ pub fn run<T: Send>(
     };
     let pool = match threads {
         None => None,
-        Some(0) => return Err(invalid("threads", "at least 1", 0)),
+        Some(n) if n == 0 || n > MOST_THREADS => {
+            return Err(invalid("threads", &format!("1 to {MOST_THREADS}"), n));
+        }
         Some(n) => Some(
             rayon::ThreadPoolBuilder::new()
                 .num_threads(n)

@@ -22,8 +22,8 @@ use crate::harmonic::{PyHarmonicModel, main_vector, quantity};
 /// ----------
 /// source : RectangularHarmonicModel, GridMap or HarmonicMap
 ///     The field.
-/// reading : {'vector', 'north', 'east', 'down', 'projection', 'anomaly', 'intensity'}
-///     What is measured of a harmonic model; maps give their own value.
+/// reading : {'vector', 'north', 'east', 'down', 'projection', 'anomaly', 'intensity'}, optional
+///     What is measured of a harmonic model, 'vector' by default; maps give their own value and take none of these.
 /// main_field : array (3,), optional
 ///     Main field (north, east, down in the model's frame) for the last three readings.
 /// down_m, height_m : float, optional
@@ -52,7 +52,7 @@ pub struct PyFieldSensor {
     /// The sensor.
     pub inner: Sensing,
     source: Py<PyAny>,
-    reading: String,
+    reading: Option<String>,
     main_field: Option<[f64; 3]>,
     down_m: Option<f64>,
     height_m: Option<f64>,
@@ -62,7 +62,7 @@ pub struct PyFieldSensor {
 impl PyFieldSensor {
     fn make(
         source: &Bound<'_, PyAny>,
-        reading: &str,
+        reading: Option<&str>,
         main_field: Option<[f64; 3]>,
         down_m: Option<f64>,
         height_m: Option<f64>,
@@ -72,8 +72,8 @@ impl PyFieldSensor {
         let inner = if let Ok(model) = source.cast::<PyHarmonicModel>() {
             let model = Arc::clone(&model.get().inner);
             let sensor = match reading {
-                "vector" => Sensor::Vector,
-                name => Sensor::Scalar(quantity(name, main_field)?),
+                None | Some("vector") => Sensor::Vector,
+                Some(name) => Sensor::Scalar(quantity(name, main_field)?),
             };
             match (down_m, height_m) {
                 (Some(_), Some(_)) => return Err(invalid("level", "one of down_m and height_m", "both")),
@@ -81,6 +81,9 @@ impl PyFieldSensor {
                 (None, Some(height)) => Sensing::at_height(model, sensor, height)?,
             }
         } else {
+            if let Some(reading) = reading {
+                return Err(invalid("reading", "none with a map, which gives its own value", format!("'{reading}'")));
+            }
             if down_m.is_some() || height_m.is_some() || main_field.is_some() {
                 return Err(invalid("down_m, height_m, main_field", "none of them with a map", "a level"));
             }
@@ -89,7 +92,7 @@ impl PyFieldSensor {
         Ok(Self {
             inner,
             source: source.clone().unbind(),
-            reading: reading.to_owned(),
+            reading: reading.map(str::to_owned),
             main_field,
             down_m,
             height_m,
@@ -101,11 +104,11 @@ impl PyFieldSensor {
 #[pymethods]
 impl PyFieldSensor {
     #[new]
-    #[pyo3(signature = (source, *, reading = "vector", main_field = None, down_m = None, height_m = None,
+    #[pyo3(signature = (source, *, reading = None, main_field = None, down_m = None, height_m = None,
                         interpolation = "bicubic"))]
     fn new(
         source: &Bound<'_, PyAny>,
-        reading: &str,
+        reading: Option<&str>,
         main_field: Option<&Bound<'_, PyAny>>,
         down_m: Option<f64>,
         height_m: Option<f64>,
@@ -147,8 +150,14 @@ impl PyFieldSensor {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let t = slf.get();
         let py = slf.py();
-        let arguments =
-            (t.source.clone_ref(py), t.reading.as_str(), t.main_field, t.down_m, t.height_m, t.interpolation.as_str());
+        let arguments = (
+            t.source.clone_ref(py),
+            t.reading.as_deref(),
+            t.main_field,
+            t.down_m,
+            t.height_m,
+            t.interpolation.as_str(),
+        );
         Ok((slf.get_type().getattr("_restore")?, arguments.into_pyobject(py)?))
     }
 
@@ -156,7 +165,7 @@ impl PyFieldSensor {
     #[pyo3(signature = (source, reading, main_field, down_m, height_m, interpolation))]
     fn _restore(
         source: &Bound<'_, PyAny>,
-        reading: &str,
+        reading: Option<&str>,
         main_field: Option<[f64; 3]>,
         down_m: Option<f64>,
         height_m: Option<f64>,
@@ -311,7 +320,7 @@ impl PyFieldNavigator {
     #[pyo3(signature = (model, *, start, covariance_m2, reading_sigma, position_noise_m2_s = 0.01,
                         speed_sigma_m_s = 0.0, speed_walk = 0.0, heading_sigma_deg = 0.0, heading_walk_deg = 0.0,
                         bias_sigma = 0.0, bias_walk = 0.0, gate = Some(0.9999), field_sigma = true,
-                        method = "unscented", alpha = 1.0, beta = 2.0, kappa = 0.0, reading = "vector",
+                        method = "unscented", alpha = 1.0, beta = 2.0, kappa = 0.0, reading = None,
                         main_field = None, down_m = None, height_m = None, interpolation = "bicubic"))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
@@ -333,13 +342,17 @@ impl PyFieldNavigator {
         alpha: f64,
         beta: f64,
         kappa: f64,
-        reading: &str,
+        reading: Option<&str>,
         main_field: Option<&Bound<'_, PyAny>>,
         down_m: Option<f64>,
         height_m: Option<f64>,
         interpolation: &str,
     ) -> PyRes<Self> {
         let sensor = if let Ok(sensor) = model.cast::<PyFieldSensor>() {
+            if reading.is_some() || main_field.is_some() || down_m.is_some() || height_m.is_some() {
+                let what = "reading, main_field, down_m, height_m";
+                return Err(invalid(what, "none of them with a FieldSensor, which has its own", "one"));
+            }
             sensor.clone().unbind()
         } else {
             let main_field = main_vector(main_field)?;

@@ -478,13 +478,11 @@ impl PyPrediction {
 
     fn __repr__(&self) -> String {
         let c = self.inner.covariance_m2;
-        format!(
-            "Prediction(sigma {:.1} m east, {:.1} m north, fix probability {:.2} of {} flights)",
-            c[0][0].sqrt(),
-            c[1][1].sqrt(),
-            self.inner.fix_probability,
-            self.inner.flights
-        )
+        let flown = match self.inner.flights {
+            0 => "no flights simulated".to_owned(),
+            flights => format!("fix probability {:.2} of {flights} flights", self.inner.fix_probability),
+        };
+        format!("Prediction(sigma {:.1} m east, {:.1} m north, {flown})", c[0][0].sqrt(), c[1][1].sqrt())
     }
 }
 

@@ -51,7 +51,7 @@ impl GridMap {
     ///
     /// # Errors
     /// [`Error::Shape`], [`Error::Invalid`] (uneven axes, latitudes beyond the poles, more than one turn of longitude),
-    /// [`Error::NotFinite`] (infinite value), [`Error::TooFewSamples`] (an axis of one node).
+    /// [`Error::NotFiniteNode`] (infinite value), [`Error::TooFewSamples`] (an axis of one node).
     pub fn new(values: GridValues, x: &[f64], y: &[f64], geographic: bool) -> Result<Self> {
         Self::with_resolution(values, x, y, geographic, 0.0)
     }
@@ -75,6 +75,7 @@ impl GridMap {
                 format!("{} values", values.len()),
             ));
         }
+        refuse_infinite(&values, |row, column| [x[column], y[row]], x.len())?;
         let (x, reverse_columns) = match Axis::from_coordinates("x", x, resolution) {
             Err(Error::Invalid { .. }) if geographic => Axis::from_coordinates("x", &unwrap_longitudes(x), resolution)?,
             other => other?,
@@ -113,18 +114,12 @@ impl GridMap {
                 ));
             }
         }
+        refuse_infinite(&values, |row, column| [x.at(column), y.at(row)], x.len())?;
         let mut sum = 0.0;
         let mut origin = f64::NAN;
         let mut holes = Holes::none(x.len());
         for i in 0..values.len() {
             let v = values.get(i);
-            if v.is_infinite() {
-                return Err(Error::NotFinite {
-                    what: "map values (row-major, both axes ascending)".into(),
-                    index: i,
-                    got: v,
-                });
-            }
             if v.is_nan() {
                 holes.add(i / x.len(), i % x.len());
             } else {
@@ -313,4 +308,12 @@ impl Field for GridMap {
     fn as_grid(&self) -> Option<&GridMap> {
         Some(self)
     }
+}
+
+/// Names the first infinite value by the row and column that the caller gave it in.
+fn refuse_infinite(values: &GridValues, place: impl Fn(usize, usize) -> [f64; 2], columns: usize) -> Result<()> {
+    let Some(i) = (0..values.len()).find(|&i| values.get(i).is_infinite()) else { return Ok(()) };
+    let (row, column) = (i / columns, i % columns);
+    let [x, y] = place(row, column);
+    Err(Error::NotFiniteNode { what: "map values".into(), row, column, x, y, got: values.get(i) })
 }

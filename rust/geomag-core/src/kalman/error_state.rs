@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::estimate::check_gate;
 use crate::error::{Error, Result, require_finite};
 
 /// A linear Kalman filter whose measurements must first pass a test.
@@ -73,7 +74,8 @@ impl ErrorStateFilter {
     /// (Groves, eq. 3.58).
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::NotPositiveDefinite`] for an innovation covariance that is not.
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (gate), [`Error::NotPositiveDefinite`] for an innovation
+    /// covariance that is not.
     pub fn update(
         &mut self,
         measurement: &DVector<f64>,
@@ -87,6 +89,7 @@ impl ErrorStateFilter {
         }
         square("measurement noise", noise, m)?;
         require_finite("measurement", measurement.as_slice())?;
+        check_gate(Some(gate))?;
         require_finite("measurement noise", noise.as_slice())?;
         let innovation = measurement - matrix * &self.state;
         let spread = symmetric(&(matrix * &self.covariance * matrix.transpose() + noise));

@@ -227,6 +227,16 @@ impl Estimate {
     }
 }
 
+/// Refuses a gate that would silently refuse every measurement (negative, zero) or none (NaN).
+pub(super) fn check_gate(gate: Option<f64>) -> Result<()> {
+    match gate {
+        Some(limit) if limit.is_nan() || limit <= 0.0 => {
+            Err(Error::invalid("gate", "a normalised innovation squared > 0", limit))
+        }
+        _ => Ok(()),
+    }
+}
+
 fn not_definite(what: &str) -> Error {
     Error::NotPositiveDefinite { what: what.into(), detail: "a pivot is zero".into() }
 }

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::estimate::{Estimate, Innovation, noise_factor};
+use super::estimate::{Estimate, Innovation, check_gate, noise_factor};
 use crate::error::{Error, Result, require_finite};
 
 /// An extended Kalman filter: the caller gives predicted values and their Jacobians.
@@ -81,7 +81,8 @@ impl ExtendedKalmanFilter {
     /// covariance `r` (row-major, m x m). With a `gate`, a measurement whose NIS exceeds it changes nothing.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::NotPositiveDefinite`]; the filter is then left as it was.
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (gate), [`Error::NotPositiveDefinite`]; the filter is
+    /// then left as it was.
     pub fn update(
         &mut self,
         z: &[f64],
@@ -99,6 +100,7 @@ impl ExtendedKalmanFilter {
             ));
         }
         require_finite("measurement z", z)?;
+        check_gate(gate)?;
         let jacobian = rectangle("Jacobian of the measurement", m, n, jacobian)?;
         let noise = noise_factor("measurement noise R", m, r)?;
         let mut joint = DMatrix::zeros(m + n, n + m);

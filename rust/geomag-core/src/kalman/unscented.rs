@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::estimate::{Estimate, Innovation, noise_factor, outer};
+use super::estimate::{Estimate, Innovation, check_gate, noise_factor, outer};
 use crate::error::{Error, Result, require_finite, require_positive};
 
 /// How far the sigma points lie from the mean and how the centre is weighted (Julier 2002; Wan & van der Merwe 2000).
@@ -141,8 +141,8 @@ impl UnscentedKalmanFilter {
     /// With a `gate`, a measurement whose NIS exceeds it changes nothing.
     ///
     /// # Errors
-    /// Those of `h`; [`Error::Shape`], [`Error::NotFinite`] (measurement, `h`), [`Error::NotPositiveDefinite`]. The
-    /// state is then left as it was.
+    /// Those of `h`; [`Error::Shape`], [`Error::NotFinite`] (measurement, `h`), [`Error::Invalid`] (gate),
+    /// [`Error::NotPositiveDefinite`]. The state is then left as it was.
     pub fn update<E: From<Error>>(
         &mut self,
         z: &[f64],
@@ -191,6 +191,7 @@ impl UnscentedKalmanFilter {
             return Err(Error::shape("measurement z", "at least one number", "none").into());
         }
         require_finite("measurement z", z)?;
+        check_gate(gate)?;
         let mut seen = DMatrix::zeros(m, 2 * n + 1);
         h(&self.sigma_points(), &mut seen)?;
         let spread = self.spread_of(&seen);

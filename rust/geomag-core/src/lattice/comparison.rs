@@ -10,7 +10,7 @@ use super::best_two::BestTwo;
 use super::shift::{Classes, Row, Shift};
 use super::simd::{Real, dispatch};
 use super::tile::{MAX_SLOTS, Measure, TILE_COLUMNS, TILE_ROWS, Tile, TileScores};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, grantable, require_weights};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues, Interpolation};
 use crate::monitor::Monitor;
@@ -47,18 +47,11 @@ impl<'a> Comparison<'a> {
         min_samples: usize,
     ) -> Result<Self> {
         let n = points.len();
-        for (what, len) in [("values", values.len()), ("weights", weights.as_ref().map_or(n, Vec::len))] {
-            if len != n {
-                return Err(Error::shape(what, format!("({n},) as the track"), format!("({len},)")));
-            }
+        if values.len() != n {
+            return Err(Error::shape("values", format!("({n},) as the track"), format!("({},)", values.len())));
         }
         if let Some(w) = &weights {
-            if let Some(k) = w.iter().position(|w| !(w.is_finite() && *w >= 0.0)) {
-                return Err(Error::invalid(format!("weights[{k}]"), "a finite number >= 0", w[k]));
-            }
-            if w.iter().all(|w| *w == 0.0) {
-                return Err(Error::invalid("weights", "at least one weight > 0", "zeros only"));
-            }
+            require_weights(w, n)?;
         }
         Ok(Self { field, lattice, points, values, weights, interpolation, min_samples: min_samples.max(1) })
     }
@@ -119,6 +112,14 @@ impl<'a> Comparison<'a> {
         Some((grid, Classes::of(grid, self.lattice.step)?))
     }
 
+    /// Relative rounding of the numbers that scores are summed from.
+    pub fn epsilon(&self) -> f64 {
+        match self.fast().map(|(grid, _)| grid.values()) {
+            Some(GridValues::F32(_)) => f64::from(f32::EPSILON),
+            _ => f64::EPSILON,
+        }
+    }
+
     fn weight(&self, k: usize) -> f64 {
         self.weights.as_ref().map_or(1.0, |w| w[k])
     }
@@ -138,6 +139,7 @@ impl<'a> Comparison<'a> {
         best: Option<&BestTwo>,
         monitor: &dyn Monitor,
     ) -> Result<Vec<f64>> {
+        grantable::<f64>("scores", rows.len() * columns.len())?;
         // Every place is written; zeros come from the system untouched, so that the threads share the first touch.
         let mut out = vec![0.0; rows.len() * columns.len()];
         if let Some((grid, classes)) = self.fast() {
@@ -181,6 +183,7 @@ impl<'a> Comparison<'a> {
     where
         F: Fn(&[f64], &[usize]) -> f64 + Sync,
     {
+        grantable::<f64>("scores", rows.len() * columns.len())?;
         let mut out = vec![f64::NAN; rows.len() * columns.len()];
         self.collect_scores(score, rows, columns, &mut out, monitor)?;
         Ok(out)

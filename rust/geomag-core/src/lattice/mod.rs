@@ -35,6 +35,10 @@ use crate::track::Track;
 /// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores.
 pub const DEFAULT_MAX_CANDIDATES: u64 = 1 << 28;
 
+/// What no caller can raise that limit above: 2^31, 16 GiB of scores. Beyond it a machine that promises more memory than
+/// it has would end the process rather than refuse.
+pub const MOST_CANDIDATES: u64 = 1 << 31;
+
 /// The regular set of candidate offsets: `2 half + 1` a side, centred on no offset.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct OffsetLattice {
@@ -48,7 +52,8 @@ impl OffsetLattice {
     /// Half its size is ceil(half width / step) with a tolerance for rounding: 0.1 / 0.01 is 10, not 11 (\[IEMA\] step 1).
     ///
     /// # Errors
-    /// [`Error::Invalid`], or [`Error::TooManyCandidates`] beyond `max_candidates`, before any memory is taken.
+    /// [`Error::Invalid`], or [`Error::TooManyCandidates`] beyond `max_candidates` or [`MOST_CANDIDATES`], before any
+    /// memory is taken.
     pub fn new(half_width: [f64; 2], step: [f64; 2], max_candidates: u64) -> Result<Self> {
         let mut half = [0_usize; 2];
         let mut sizes = [0_u128; 2];
@@ -61,11 +66,12 @@ impl OffsetLattice {
             half[d] = cells as usize;
         }
         let needed = sizes[0].saturating_mul(sizes[1]);
-        if needed > u128::from(max_candidates) {
+        let limit = max_candidates.min(MOST_CANDIDATES);
+        if needed > u128::from(limit) {
             return Err(Error::TooManyCandidates {
                 what: format!("offset lattice of {} x {}", sizes[0], sizes[1]),
                 needed,
-                limit: max_candidates,
+                limit,
             });
         }
         Ok(Self { half, step })

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result, require_finite, require_positive};
+use crate::error::{Error, Result, require_finite, require_positive, require_weights};
 use crate::field::Field;
 use crate::fix::{Fix, Status, Surface};
 use crate::grid::Interpolation;
@@ -32,7 +32,7 @@ pub struct GridSearch {
     pub pivot: Pivot,
     /// Whether a constant is taken out of the differences.
     pub remove_mean: bool,
-    /// One weight a sample.
+    /// One weight a sample. A sample of weight zero is as if it had not been measured: its position alone remains.
     pub weights: Option<Vec<f64>>,
     /// Loss in place of the square.
     pub robust: Option<Robust>,
@@ -100,15 +100,29 @@ impl GridSearch {
         }
         let scoring = self.scoring();
         scoring.check()?;
-        let needed = scoring.least_samples();
-        if track.len() < needed {
+        if let Some(weights) = &self.weights {
+            require_weights(weights, track.len())?;
+        }
+        let (needed, got) = (scoring.least_samples(), self.counting(track.len()).count());
+        if got < needed {
             return Err(Error::TooFewSamples {
                 what: format!("grid search with '{}' about a free mean", self.criterion.as_str()),
                 needed,
-                got: track.len(),
+                got,
             });
         }
         Ok(())
+    }
+
+    /// The samples of `n` that have a weight.
+    fn counting(&self, n: usize) -> impl Iterator<Item = usize> {
+        (0..n).filter(|&k| self.weights.as_ref().is_none_or(|w| w[k] > 0.0))
+    }
+
+    /// The weights of those, where they differ from one.
+    fn their_weights(&self) -> Option<Vec<f64>> {
+        let kept: Vec<f64> = self.weights.as_ref()?.iter().copied().filter(|w| *w > 0.0).collect();
+        kept.iter().any(|w| *w != 1.0).then_some(kept)
     }
 
     fn scoring(&self) -> Scoring {
@@ -148,9 +162,10 @@ struct Best {
 /// where sigma is given and the residuals of a mean square difference are far beyond it.
 /// None of this is a calibrated risk.
 ///
+/// A track that no candidate brings onto the map is `lost`.
+///
 /// # Errors
-/// [`Error::Invalid`] for options out of range and for a track that no candidate brings onto the map,
-/// [`Error::TooManyCandidates`], [`Error::TooFewSamples`], [`Error::Interrupted`].
+/// [`Error::Invalid`] for options out of range, [`Error::TooManyCandidates`], [`Error::TooFewSamples`], [`Error::Interrupted`].
 pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor: &dyn Monitor) -> Result<Fix> {
     search.check(track)?;
     let spacing = field.spacing();
@@ -160,20 +175,16 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     let lattice =
         OffsetLattice::new(search.half_width, step, search.max_candidates / (placements.len() as u64).max(1))?;
     let scoring = search.scoring();
-    let distance_m = track.distance_m(field.geographic());
-    let min_samples = ((search.min_overlap * track.len() as f64 - 1e-9).ceil() as usize).max(scoring.least_samples());
+    let (measured, weights) = (track.weighted(search.weights.as_deref())?, search.their_weights());
+    let distance_m = measured.distance_m(field.geographic());
+    let min_samples =
+        ((search.min_overlap * measured.len() as f64 - 1e-9).ceil() as usize).max(scoring.least_samples());
     let compare = |placement: usize, interpolation| {
         let (heading, scale) = placements[placement];
         let points = place_track(field, track, heading, scale, search.pivot);
-        Comparison::new(
-            field,
-            lattice,
-            points,
-            track.values().to_vec(),
-            search.weights.clone(),
-            interpolation,
-            min_samples,
-        )
+        let points = search.counting(points.len()).map(|k| points[k]).collect();
+        let values = measured.values().to_vec();
+        Comparison::new(field, lattice, points, values, weights.clone(), interpolation, min_samples)
     };
 
     let away: [f64; 2] = std::array::from_fn(|d| (2.0 * spacing[d] / step[d] - 1e-9).max(1.0));
@@ -185,7 +196,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     })?;
     let columns = lattice.columns();
     let Some(best) = least(&surface, columns, [0..0, 0..0]) else {
-        return no_score(field, track, search, &lattice);
+        return Ok(no_score(field, &measured, search, &lattice));
     };
     let placed = |b: Best| {
         let placement = chosen.get(b.row * columns + b.column).map_or(0, |&p| p as usize);
@@ -228,7 +239,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         Status::Rejected
     } else if fit.uninformative(field, &lattice, newest[1]) {
         Status::Uninformative
-    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, track.spread())) {
+    } else if rival.is_some_and(|r| search.ambiguous(refined.least, r.least, fit.samples, measured.spread())) {
         Status::Ambiguous
     } else {
         Status::Fixed
@@ -285,7 +296,7 @@ impl GridSearch {
     /// the linearised fit, which the quadratic through lattice scores only comes near to.
     fn goodness(&self, fit: &LocalFit) -> Option<f64> {
         match (self.criterion, self.robust, self.sigma, fit.least_squares) {
-            (Criterion::Msd, None, Some(sigma), Some((squares, freedom))) if self.weights.is_none() => {
+            (Criterion::Msd, None, Some(sigma), Some((squares, freedom))) if self.their_weights().is_none() => {
                 Some(1.0 - chi_square_cdf(squares / (sigma * sigma), freedom))
             }
             _ => None,
@@ -375,29 +386,18 @@ fn least_of(slice: &[f64]) -> f64 {
 }
 
 /// The answer where no candidate has a score.
-fn no_score(field: &dyn Field, track: &Track, search: &GridSearch, lattice: &OffsetLattice) -> Result<Fix> {
-    if let Some(grid) = field.as_grid() {
+fn no_score(field: &dyn Field, track: &Track, search: &GridSearch, lattice: &OffsetLattice) -> Fix {
+    let in_reach = field.as_grid().is_none_or(|grid| {
         let reach = |k: usize, d: usize| {
             let [x, y] = [grid.wrap_x(track.x()[k]), track.y()[k]];
             let axis = if d == 0 { grid.x() } else { grid.y() };
             let p = if d == 0 { x } else { y };
             p >= axis.first() - search.half_width[d] && p <= axis.last() + search.half_width[d]
         };
-        if !(0..track.len()).any(|k| reach(k, 0) && reach(k, 1)) {
-            return Err(Error::invalid(
-                "track",
-                format!(
-                    "points within the search of the map (x {}..{}, y {}..{}; are the units the same?)",
-                    grid.x().first(),
-                    grid.x().last(),
-                    grid.y().first(),
-                    grid.y().last()
-                ),
-                format!("sample 0 at x {}, y {}", track.x()[0], track.y()[0]),
-            ));
-        }
-    }
-    let mut fix = Fix::none(Status::Uninformative, track.len());
+        (0..track.len()).any(|k| reach(k, 0) && reach(k, 1))
+    });
+    let status = if in_reach { Status::Uninformative } else { Status::Lost };
+    let mut fix = Fix::none(status, track.len());
     if search.surface {
         fix.surface = Some(Surface {
             values: vec![f64::NAN; lattice.len()],
@@ -407,7 +407,7 @@ fn no_score(field: &dyn Field, track: &Track, search: &GridSearch, lattice: &Off
             step: lattice.step(),
         });
     }
-    Ok(fix)
+    fix
 }
 
 /// Scores of the 3 x 3 offsets around the best, in double precision.

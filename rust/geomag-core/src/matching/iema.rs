@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::constants::LN_SQRT_2PI;
-use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+use crate::error::{Error, Result, require_finite, require_not_negative, require_positive, room};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
@@ -48,7 +48,8 @@ pub struct IemaOptions {
     pub unknown: Unknown,
     /// Gate in standard deviations, 3 in the paper.
     pub gate: f64,
-    /// Limit on the number of candidates.
+    /// Limit on the number of candidates. Every one that is left after the first sample takes 24 bytes; gathering them
+    /// takes as much again for a moment.
     pub max_candidates: u64,
 }
 
@@ -89,9 +90,9 @@ pub struct IemaStep {
     pub n_feasible: usize,
     /// Extent of the feasible set `[x, y]`, map units: greatest less least offset.
     pub extent: [f64; 2],
-    /// Offset of the greatest score `[x, y]`, map units; NaN when lost.
+    /// Offset of the greatest score `[x, y]`, map units; NaN when lost and until a candidate had a map value.
     pub best_offset: [f64; 2],
-    /// Its log score: the sum of the log densities.
+    /// Its log score: the sum of the log densities; NaN where it has no offset.
     pub log_score: f64,
     /// The greatest log score outside one map cell of it; NaN where there is none.
     pub runner_up: f64,
@@ -102,8 +103,8 @@ pub struct IemaStep {
 impl IemaStep {
     /// The common answer of this step; its track is the newest point alone.
     pub fn fix(&self, field: &dyn Field) -> Fix {
-        let mut fix = if self.status == Status::Lost {
-            Fix::none(Status::Lost, self.n_samples)
+        let mut fix = if self.best_offset[0].is_nan() {
+            Fix::none(self.status, self.n_samples)
         } else {
             Fix::at_point(field, self.indicated, self.best_offset, self.status)
         };
@@ -226,7 +227,7 @@ impl Iema {
     /// A lost matcher stays lost, without work, until [`Iema::reset`].
     ///
     /// # Errors
-    /// [`Error::NotFinite`] for a NaN or infinite argument; the state is then as it was.
+    /// [`Error::NotFinite`] for a NaN or infinite argument, [`Error::NoMemory`]; the state is then as it was.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<IemaStep> {
         require_finite("indicated x", &[x])?;
         require_finite("indicated y", &[y])?;
@@ -322,22 +323,29 @@ impl Iema {
             }
         };
         if self.lattice.len() < CHUNK {
-            let mut out = Vec::with_capacity(self.lattice.len());
+            let mut out = room("candidates", self.lattice.len())?;
             let mut values = Vec::with_capacity(columns);
             for row in 0..self.lattice.rows() {
                 row_survivors(row, &mut values, &mut out);
             }
             return Ok(out);
         }
+        let scratch = || (Vec::new(), Vec::new());
         let parts: Vec<Vec<Candidate>> = (0..self.lattice.rows())
             .into_par_iter()
-            .map_init(Vec::new, |values, row| {
-                let mut out = Vec::new();
-                row_survivors(row, values, &mut out);
-                out
+            .map_init(scratch, |(values, out), row| {
+                out.clear();
+                row_survivors(row, values, out);
+                let mut exact = room("candidates", out.len())?;
+                exact.extend_from_slice(out);
+                Ok(exact)
             })
-            .collect();
-        Ok(parts.concat())
+            .collect::<Result<_>>()?;
+        let mut all = room("candidates", parts.iter().map(Vec::len).sum())?;
+        for part in parts {
+            all.extend_from_slice(&part);
+        }
+        Ok(all)
     }
 
     /// Weights of every class of offsets for a sample at a point.
@@ -367,11 +375,27 @@ impl Iema {
             list.truncate(kept);
             return list;
         }
-        let parts: Vec<Vec<Candidate>> = list
-            .par_chunks(CHUNK)
-            .map(|chunk| chunk.iter().filter_map(|&c| test.apply(c, sampler.value(c.row, c.column))).collect())
+        // Each thread packs its chunks where they stand, and they are drawn together: nothing is allocated either.
+        let kept: Vec<usize> = list
+            .par_chunks_mut(CHUNK)
+            .map(|chunk| {
+                let mut kept = 0;
+                for i in 0..chunk.len() {
+                    if let Some(c) = test.apply(chunk[i], sampler.value(chunk[i].row, chunk[i].column)) {
+                        chunk[kept] = c;
+                        kept += 1;
+                    }
+                }
+                kept
+            })
             .collect();
-        parts.concat()
+        let mut end = 0;
+        for (i, kept) in kept.into_iter().enumerate() {
+            list.copy_within(i * CHUNK..i * CHUNK + kept, end);
+            end += kept;
+        }
+        list.truncate(end);
+        list
     }
 
     fn summary(&self, indicated: [f64; 2]) -> IemaStep {
@@ -391,7 +415,9 @@ impl Iema {
         };
         let mut best = first;
         let (mut low, mut high) = ([u32::MAX; 2], [0_u32; 2]);
+        let mut tested = false;
         for c in list {
+            tested |= c.tested > 0;
             // Candidates are in index order, so the first of equals is the smaller index.
             if c.log_score > best.log_score {
                 best = c;
@@ -414,14 +440,16 @@ impl Iema {
         let unique = (0..2).all(|d| span[d] <= self.options.tolerance[d] / step[d] + 1e-9);
         // A candidate that was never tested is no answer, however alone it stands.
         let status = if unique && best.tested > 0 { Status::Fixed } else { Status::Searching };
+        // Scores that no map value went into rank nothing.
+        let known = |number: f64| if tested { number } else { f64::NAN };
         IemaStep {
             status,
             n_samples,
             n_feasible: list.len(),
             extent: [span[0] * step[0], span[1] * step[1]],
-            best_offset: self.lattice.offset(best.row as usize, best.column as usize),
-            log_score: best.log_score,
-            runner_up,
+            best_offset: self.lattice.offset(best.row as usize, best.column as usize).map(known),
+            log_score: known(best.log_score),
+            runner_up: known(runner_up),
             indicated,
         }
     }

@@ -11,7 +11,7 @@ use crate::track::Track;
 
 /// Noise and curvature at the answer.
 pub(super) struct LocalFit {
-    /// Samples with a map value and gradient.
+    /// Samples with a weight, a map value and a gradient.
     pub samples: usize,
     /// Mean of measured minus map, where a mean was removed.
     pub bias: Option<f64>,
@@ -47,6 +47,10 @@ impl LocalFit {
         };
         let mut rows: Vec<(Vec<f64>, f64, f64)> = Vec::with_capacity(moved.len());
         for (k, p) in moved.iter().enumerate() {
+            let weight = search.weights.as_ref().map_or(1.0, |w| w[k]);
+            if weight == 0.0 {
+                continue;
+            }
             let (m, [east, north]) = field.value_and_gradient(p[0], p[1]);
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
@@ -65,7 +69,6 @@ impl LocalFit {
             if gain {
                 row.push(m - field.mean());
             }
-            let weight = search.weights.as_ref().map_or(1.0, |w| w[k]);
             rows.push((row, track.values()[k] - m, weight));
         }
         let samples = rows.len();

@@ -14,6 +14,9 @@ use crate::lattice::{BestTwo, Comparison, MAX_SLOTS, Measure, Real};
 use crate::monitor::Monitor;
 use crate::track::Track;
 
+/// Rounding steps by which equal values may come out unequal after interpolation and the removal of a level.
+const ROUNDING: f64 = 4.0;
+
 /// Which measure compares the sequences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Criterion {
@@ -197,7 +200,7 @@ impl Scoring {
         match (self.criterion, self.robust) {
             (Criterion::Msd, Some(robust)) => {
                 let score = |m: &[f64], known: &[usize]| {
-                    let bias = if self.remove_mean { median(m, v, known) } else { 0.0 };
+                    let bias = if self.remove_mean { weighted_median(m, v, known, weight) } else { 0.0 };
                     let (mut sum, mut total) = (0.0, 0.0);
                     for (&m, &k) in m.iter().zip(known) {
                         sum += weight(k) * robust.loss(v[k] - m - bias);
@@ -233,11 +236,18 @@ impl Scoring {
                 let level = v.iter().zip(&shifted).map(|(v, s)| v - s).sum::<f64>() / v.len() as f64;
                 let total: f64 = (0..v.len()).map(weight).sum();
                 let mean = shifted.iter().enumerate().map(|(k, v)| weight(k) * v).sum::<f64>() / total;
-                let values: Vec<f64> = shifted.iter().map(|v| v - mean).collect();
-                let spread = values.iter().enumerate().map(|(k, v)| weight(k) * v * v).sum::<f64>();
+                let mut values: Vec<f64> = shifted.iter().map(|v| v - mean).collect();
+                let mut spread = values.iter().enumerate().map(|(k, v)| weight(k) * v * v).sum::<f64>();
+                // Readings that differ by their rounding alone would correlate that with the map.
+                let largest = v.iter().chain(&shifted).fold(level.abs(), |most, v| v.abs().max(most));
+                let rounding = ROUNDING * f64::EPSILON * largest;
+                if spread <= total * rounding * rounding {
+                    values.fill(0.0);
+                    spread = 0.0;
+                }
                 let map_level = v.iter().sum::<f64>() / v.len() as f64 - level;
                 comparison.clone().with_values(values).scores(
-                    Ncc { level: map_level, spread },
+                    Ncc { level: map_level, spread, epsilon: comparison.epsilon() },
                     rows,
                     columns,
                     best,
@@ -272,10 +282,6 @@ fn about_middle(comparison: &Comparison<'_>) -> Vec<f64> {
     }
     let level = if n > 0.0 { sum / n } else { 0.0 };
     v.iter().map(|v| v - level).collect()
-}
-
-fn median(m: &[f64], v: &[f64], known: &[usize]) -> f64 {
-    weighted_median(m, v, known, |_| 1.0)
 }
 
 /// The value that minimises the weighted sum of |v - m - b| over b; between two such, their middle.
@@ -458,6 +464,8 @@ pub struct Ncc {
     pub level: f64,
     /// Weighted sum of the squared values.
     pub spread: f64,
+    /// Relative rounding of the numbers that are summed.
+    pub epsilon: f64,
 }
 
 impl Measure for Ncc {
@@ -491,8 +499,11 @@ impl Measure for Ncc {
         let (v, vv) = if weighted { (v, vv) } else { (0.0, self.spread) };
         let spread_m = mm - m * m / weight;
         let spread_v = vv - v * v / weight;
-        // Below rounding of its own sums a sequence is constant, and a constant correlates with nothing.
-        let constant = spread_m <= 1e-12 * mm || spread_v <= 1e-12 * vv;
+        // Below rounding, of its own sums or of the map values themselves, a sequence is constant, and a constant
+        // correlates with nothing.
+        let of_sums = (16.0 * self.epsilon).max(1e-12);
+        let of_map = ROUNDING * self.epsilon * self.level;
+        let constant = spread_m <= of_sums * mm + weight * of_map * of_map || spread_v <= of_sums * vv;
         let score = -((mv - m * v / weight) / (spread_m * spread_v).sqrt()).clamp(-1.0, 1.0);
         if constant { f64::NAN } else { score }
     }

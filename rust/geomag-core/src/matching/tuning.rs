@@ -344,6 +344,9 @@ fn check(options: &TuneOptions) -> Result<()> {
     }
     require_not_negative("weights[0]", options.weights[0])?;
     require_not_negative("weights[1]", options.weights[1])?;
+    if options.weights == [0.0; 2] {
+        return Err(Error::invalid("weights", "at least one weight > 0", "zeros only"));
+    }
     require_positive("cost_per_work", options.cost_per_work)?;
     require_not_negative("sigma", options.sigma)?;
     require_not_negative("ins offset_m", options.ins.offset_m)?;
