@@ -65,7 +65,7 @@ def run(context: Context) -> Report:
         ],
         [_picture(context, cases)],
         [
-            f"Right counts are not published. In this run {_wrong(cases, 'on the lattice')} of the fixes are wrong with the INS error on "
+            f"Right counts are not published. In this run {_wrong(cases, 'on the lattice')} fixes are wrong with the INS error on "
             f"the lattice, {_wrong(cases, 'anywhere')} with it anywhere; `match_posterior` declares such a risk (see the guide on "
             "calibrated matching)."
         ],
