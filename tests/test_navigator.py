@@ -191,3 +191,19 @@ def test_a_run_equals_filterpy_with_a_numpy_field():
         theirs.update(z)
         nav.step(1.0, e7.SPEED_M_S, e7.COURSE_DEG, z)
     np.testing.assert_allclose(nav.position, theirs.x, atol=1e-6)
+
+
+def test_a_reading_where_the_error_of_the_map_is_unknown_is_not_taken():
+    axis = np.arange(0.0, 6000.0, 100.0)
+    values = 90 * np.sin(axis / 400)[None, :] * np.cos(axis / 500)[:, None]
+    sigma = np.full(values.shape, 2.0)
+    sigma[:, 30:] = np.nan
+    grid = geomag.GridMap(values, axis, axis, sigma=sigma)
+
+    def step(x, **options):
+        nav = geomag.FieldNavigator(grid, start=(x, 2000.0), covariance_m2=100.0, reading_sigma=1.0, gate=None, **options)
+        return nav.step(1.0, 1.0, 90.0, 10.0).outcome
+
+    assert step(1000.0) == "updated"
+    assert step(4000.0) == "off_field"
+    assert step(4000.0, field_sigma=False) == "updated"

@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Campaign", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema", "posterior"]
 
+#: Greatest number of trials of one run.
+MOST_TRIALS = 10_000_000
+
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
 
@@ -347,7 +350,7 @@ class Campaign:
         Parameters
         ----------
         method : one of geomag's matchers (`iema(...)`, `grid_search(...)`, ...), or a callable (grid, track) -> Fix.
-        trials : how many (0, 1, ... n - 1), or their numbers.
+        trials : how many (0, 1, ... n - 1), or their numbers; at most 10,000,000.
         executor : a `concurrent.futures.Executor` or a `distributed.Client`; this process where not given.
             Chunks whose worker dies are given out again.
         chunk : trials handed out at a time.
@@ -422,6 +425,9 @@ _Part = list[dict[str, "NDArray[Any]"]]
 
 
 def _numbers(trials: int | Sequence[int]) -> list[int]:
+    count = trials if isinstance(trials, int) else len(trials)
+    if count > MOST_TRIALS:
+        raise InvalidInputError(f"trials: needed at most {MOST_TRIALS}, got {count}")
     numbers = list(range(trials)) if isinstance(trials, int) else [int(t) for t in trials]
     if not numbers:
         raise InvalidInputError("trials: needed at least one, got none")

@@ -79,13 +79,13 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 /// sigma : float, optional
 ///     Standard deviation of a measured value with the map's error; estimated from the best fit by default.
 /// ambiguity : float
-///     The answer is `ambiguous` where a place more than two cells away has more than this share of its likelihood.
+///     The answer is `ambiguous` where a place two cells away or more has more than this share of its likelihood.
 /// refine : bool
 ///     Refine the best offset below the lattice step.
 /// surface : bool
 ///     Return the score surface with the fix.
 /// max_candidates : int
-///     A larger search is refused before memory is taken.
+///     A larger search is refused before memory is taken; 2^32 at most.
 /// threads : int, optional
 ///     Threads to use, all cores by default; the answer does not depend on it.
 /// progress : bool or callable, optional

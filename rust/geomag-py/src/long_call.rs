@@ -12,6 +12,8 @@ use crate::error::{PyRes, invalid};
 
 /// Work below this many units is done at once: starting a thread would cost more than it takes.
 const SHORT: u64 = 20_000_000;
+/// More threads than this are not started: the answers are the same, and the system may not have them to give.
+const MOST_THREADS: usize = 1024;
 
 struct Shared {
     stop: AtomicBool,
@@ -30,7 +32,7 @@ impl Monitor for Shared {
 /// Runs `work` without the interpreter. Where it is long (`units`, about a nanosecond each) or `progress` is wanted,
 /// signals are checked and progress is reported about ten times a second.
 ///
-/// `threads` limits the threads of the computation; all cores where it is None.
+/// `threads` limits the threads of the computation, itself limited to [`MOST_THREADS`]; all cores where it is None.
 ///
 /// `progress` is None or False, True (a bar on standard error), or a callable `(done, total)`.
 pub fn run<T: Send>(
@@ -55,7 +57,7 @@ pub fn run<T: Send>(
         Some(0) => return Err(invalid("threads", "at least 1", 0)),
         Some(n) => Some(
             rayon::ThreadPoolBuilder::new()
-                .num_threads(n)
+                .num_threads(n.min(MOST_THREADS))
                 .build()
                 .map_err(|e| invalid("threads", "a number of threads that the system grants", e))?,
         ),

@@ -32,8 +32,11 @@ use crate::field::Field;
 use crate::frame::displacement_m;
 use crate::track::Track;
 
-/// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores.
+/// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores; in IEMA, which keeps 24 bytes of
+/// every one that its first sample leaves, up to 6 GiB, and twice that while they are gathered.
 pub const DEFAULT_MAX_CANDIDATES: u64 = 1 << 28;
+/// Limit that no caller can raise: 2^32, whose rows and columns still fit 32 bits.
+pub const MAX_CANDIDATES: u64 = 1 << 32;
 
 /// The regular set of candidate offsets: `2 half + 1` a side, centred on no offset.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -48,7 +51,7 @@ impl OffsetLattice {
     /// Half its size is ceil(half width / step) with a tolerance for rounding: 0.1 / 0.01 is 10, not 11 (\[IEMA\] step 1).
     ///
     /// # Errors
-    /// [`Error::Invalid`], or [`Error::TooManyCandidates`] beyond `max_candidates`, before any memory is taken.
+    /// [`Error::Invalid`], or [`Error::TooManyCandidates`] beyond `max_candidates` or [`MAX_CANDIDATES`], before any memory is taken.
     pub fn new(half_width: [f64; 2], step: [f64; 2], max_candidates: u64) -> Result<Self> {
         let mut half = [0_usize; 2];
         let mut sizes = [0_u128; 2];
@@ -61,11 +64,12 @@ impl OffsetLattice {
             half[d] = cells as usize;
         }
         let needed = sizes[0].saturating_mul(sizes[1]);
-        if needed > u128::from(max_candidates) {
+        let limit = max_candidates.min(MAX_CANDIDATES);
+        if needed > u128::from(limit) {
             return Err(Error::TooManyCandidates {
                 what: format!("offset lattice of {} x {}", sizes[0], sizes[1]),
                 needed,
-                limit: max_candidates,
+                limit,
             });
         }
         Ok(Self { half, step })
@@ -119,6 +123,20 @@ pub enum Pivot {
     Centroid,
 }
 
+/// The mean of points, longitudes counted from the first one's so that a track over the date line has its own middle.
+pub(crate) fn centroid(geographic: bool, points: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
+    let mut points = points.peekable();
+    let origin = points.peek().copied().unwrap_or([f64::NAN; 2]);
+    let (mut x, mut y, mut n) = (0.0, 0.0, 0.0);
+    for p in points {
+        let unwrapped = if geographic { crate::frame::wrap_longitude(p[0], origin[0]) } else { p[0] };
+        x += unwrapped - origin[0];
+        y += p[1] - origin[1];
+        n += 1.0;
+    }
+    [origin[0] + x / n, origin[1] + y / n]
+}
+
 /// Track points rotated by `heading_deg` (clockwise from above, as headings are) and stretched by `scale` about the pivot.
 ///
 /// Done in metres; a rotation in longitude and latitude is no rotation. No rotation and no stretch give the points back
@@ -131,16 +149,7 @@ pub fn place_track(field: &dyn Field, track: &Track, heading_deg: f64, scale: f6
     let geographic = field.geographic();
     let pivot = match pivot {
         Pivot::Newest => track.newest(),
-        Pivot::Centroid => {
-            let origin = track.point(0);
-            let (mut x, mut y) = (0.0, 0.0);
-            for p in points.clone() {
-                let unwrapped = if geographic { crate::frame::wrap_longitude(p[0], origin[0]) } else { p[0] };
-                x += unwrapped - origin[0];
-                y += p[1] - origin[1];
-            }
-            [origin[0] + x / track.len() as f64, origin[1] + y / track.len() as f64]
-        }
+        Pivot::Centroid => centroid(geographic, points.clone()),
     };
     let (sin, cos) = heading_deg.to_radians().sin_cos();
     points
@@ -151,4 +160,17 @@ pub fn place_track(field: &dyn Field, track: &Track, heading_deg: f64, scale: f6
             [p[0] + moved[0] / unit[0], p[1] + moved[1] / unit[1]]
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::centroid;
+
+    #[test]
+    fn the_middle_of_a_track_over_the_date_line_is_on_it() {
+        let track = [[179.5, 10.0], [-179.5, 11.0], [-178.5, 12.0]];
+        let [x, y] = centroid(true, track.into_iter());
+        assert!((x - 180.5).abs() < 1e-12 && (y - 11.0).abs() < 1e-12, "{x} {y}");
+        assert_eq!(centroid(false, [[179.0, 0.0], [-179.0, 0.0]].into_iter()), [0.0, 0.0]);
+    }
 }

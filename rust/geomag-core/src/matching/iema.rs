@@ -14,6 +14,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
 use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
+use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
 
 /// The gate of the paper, in standard deviations.
@@ -48,7 +49,7 @@ pub struct IemaOptions {
     pub unknown: Unknown,
     /// Gate in standard deviations, 3 in the paper.
     pub gate: f64,
-    /// Limit on the number of candidates.
+    /// Limit on the number of candidates; each that the first sample leaves takes 24 bytes.
     pub max_candidates: u64,
 }
 
@@ -258,8 +259,17 @@ impl Iema {
     /// # Errors
     /// As [`Iema::update`].
     pub fn run(&mut self, track: &Track) -> Result<Fix> {
+        self.run_monitored(track, &Quiet)
+    }
+
+    /// [`Iema::run`] that can be watched and stopped; once stopped, the samples seen so far are kept.
+    ///
+    /// # Errors
+    /// As [`Iema::run`], and [`Error::Interrupted`].
+    pub fn run_monitored(&mut self, track: &Track, monitor: &dyn Monitor) -> Result<Fix> {
         self.reset();
         for k in 0..track.len() {
+            monitor.advance(k as u64, track.len() as u64)?;
             let step = self.update(track.x()[k], track.y()[k], track.values()[k])?;
             if step.status != Status::Searching || k + 1 == track.len() {
                 let mut fix = step.fix(&*self.field);
