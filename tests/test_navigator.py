@@ -206,3 +206,19 @@ def test_a_reading_is_refused_where_it_chooses_nothing():
             geomag.FieldNavigator(geomag.FieldSensor(grid), reading=name, **options)
     sensor = pickle.loads(pickle.dumps(geomag.FieldSensor(grid)))
     assert geomag.FieldNavigator(sensor, **options).position == (300.0, 500.0)
+
+
+def test_a_reading_where_the_error_of_the_map_is_unknown_is_not_taken():
+    axis = np.arange(0.0, 6000.0, 100.0)
+    values = 90 * np.sin(axis / 400)[None, :] * np.cos(axis / 500)[:, None]
+    sigma = np.full(values.shape, 2.0)
+    sigma[:, 30:] = np.nan
+    grid = geomag.GridMap(values, axis, axis, sigma=sigma)
+
+    def step(x, **options):
+        nav = geomag.FieldNavigator(grid, start=(x, 2000.0), covariance_m2=100.0, reading_sigma=1.0, gate=None, **options)
+        return nav.step(1.0, 1.0, 90.0, 10.0).outcome
+
+    assert step(1000.0) == "updated"
+    assert step(4000.0) == "off_field"
+    assert step(4000.0, field_sigma=False) == "updated"

@@ -54,6 +54,9 @@ if TYPE_CHECKING:
 __all__ = ["Campaign", "Keyed", "Method", "RandomTracks", "Summary", "Table", "contour", "grid_search", "iema",
            "posterior"]  # fmt: skip
 
+#: Greatest number of trials of one run.
+MOST_TRIALS = 10_000_000
+
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
 
@@ -386,7 +389,7 @@ class Campaign:
         Parameters
         ----------
         method : one of geomag's matchers (`iema(...)`, `grid_search(...)`, ...), or a callable (grid, track) -> Fix.
-        trials : how many (0, 1, ... n - 1), or their numbers.
+        trials : how many (0, 1, ... n - 1), or their numbers; at most 10,000,000.
         executor : a `concurrent.futures.Executor` or a `distributed.Client`; this process where not given.
             Chunks whose worker dies are given out again.
         chunk : trials handed out at a time.
@@ -466,7 +469,11 @@ _Part = list[dict[str, "NDArray[Any]"]]
 
 def _numbers(trials: int | Sequence[int]) -> list[int]:
     try:
-        numbers = [index(t) for t in (trials if isinstance(trials, Iterable) else range(index(trials)))]
+        several = isinstance(trials, Iterable)
+        count = len(trials) if several else index(trials)
+        if count > MOST_TRIALS:
+            raise InvalidInputError(f"trials: needed at most {MOST_TRIALS}, got {count}")
+        numbers = [index(t) for t in (trials if several else range(count))]
     except TypeError as error:
         raise InvalidInputError(f"trials: needed a whole number, or several, got {trials!r}") from error
     if not numbers:

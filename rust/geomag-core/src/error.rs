@@ -167,6 +167,18 @@ pub fn require_positive(what: &str, value: f64) -> Result<f64> {
     if value.is_finite() && value > 0.0 { Ok(value) } else { Err(Error::invalid(what, "a finite number > 0", value)) }
 }
 
+/// Refuses a count of zero, or one over what memory and patience can bear.
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_count(what: &str, value: usize, limit: usize) -> Result<usize> {
+    if (1..=limit).contains(&value) {
+        Ok(value)
+    } else {
+        Err(Error::invalid(what, format!("a number from 1 to {limit}"), value))
+    }
+}
+
 /// Refuses a number that is not finite or is less than zero.
 ///
 /// # Errors

@@ -13,9 +13,18 @@ pub trait Field: Send + Sync + std::fmt::Debug {
     /// Value and gradient per metre `[east, north]`; NaN where unknown.
     fn value_and_gradient(&self, x: f64, y: f64) -> (f64, [f64; 2]);
 
-    /// Standard deviation of the stored value against the true field at a point; zero where nothing is known about it.
+    /// Standard deviation of the stored value against the true field at a point: zero for a field that says nothing of its
+    /// errors, NaN where one that does says nothing here (a NaN in its layer, or off it).
     fn sigma(&self, _x: f64, _y: f64) -> f64 {
         0.0
+    }
+
+    /// [`Field::sigma`] for whoever weighs a sample by it; `None` where it is NaN.
+    ///
+    /// A value of unknown error cannot be weighed, so the place is as a hole: to take the error for zero would make the
+    /// least known part of a map the one that is believed most.
+    fn known_sigma(&self, x: f64, y: f64) -> Option<f64> {
+        Some(self.sigma(x, y)).filter(|s| !s.is_nan())
     }
 
     /// Whether coordinates are degrees of longitude and latitude.

@@ -411,3 +411,103 @@ fn sliding_window_goes_on_bit_for_bit_from_a_saved_state() {
     assert!(whole.update(&map, f64::NAN, 0.0, 0.0).is_err());
     assert_eq!(whole, parts);
 }
+
+#[test]
+fn a_start_that_leaves_one_sample_on_the_map_does_not_win() {
+    let map = map_of(field);
+    let (track, end, _) = flown([400.0, 300.0], 0.0, 1.0, 5);
+    // From the second start the oldest sample alone is on the map, and goes onto its contour as one always can.
+    let options = ContourOptions {
+        min_points: Some(1),
+        starts: Starts::Offsets(vec![[0.0, 0.0], [0.0, 29_292.0]]),
+        ..tight(TransformKind::Translation)
+    };
+    let fix = match_contour(&map, &track, None, &options).unwrap();
+    assert!(fix.ok() && (fix.x - end[0]).hypot(fix.y - end[1]) < 500.0, "{fix:?}");
+}
+
+#[test]
+fn every_channel_has_its_share_of_samples_where_misfits_are_compared() {
+    // The second map ends a little after the oldest samples, so that most starts have but few of its samples.
+    let (map, whole) = (map_of(field), map_of(other_field));
+    let (track, _, others) = flown([400.0, 300.0], 0.0, 1.0, 5);
+    let short = axis(60, 250.0);
+    let values = short.iter().flat_map(|&y| short.iter().map(move |&x| other_field(x, y))).collect();
+    let corner = GridMap::new(GridValues::F64(values), &short, &short, false).unwrap();
+    let options = ContourOptions { starts: Starts::grid(1000.0, 250.0), ..tight(TransformKind::Translation) };
+    let status = |other: &GridMap| {
+        let channels = [
+            Channel { map: &map, values: track.values(), sigma: Some(1.0) },
+            Channel { map: other, values: &others, sigma: Some(1.0) },
+        ];
+        match_channels(&channels, &track, None, &options).unwrap().status
+    };
+    assert_eq!(status(&whole), Status::Fixed);
+    assert_eq!(status(&corner), Status::Lost);
+}
+
+#[test]
+fn a_sliding_window_at_rest_says_so_and_goes_on() {
+    let map = map_of(field);
+    let mut window = SlidingState::new(8, Some(1.0), 10.0, tight(TransformKind::Rigid)).unwrap();
+    let (track, end, _) = flown([300.0, 250.0], 0.0, 0.5, 4);
+    let [x, y] = track.point(0);
+    for k in 0..20 {
+        let fix = window.update(&map, x, y, track.values()[0]).unwrap();
+        assert_eq!(fix.status, if k < 7 { Status::Searching } else { Status::Uninformative });
+        assert!(fix.x.is_nan() && fix.n_samples == (k + 1).min(8));
+    }
+    let mut last = None;
+    for k in 1..track.len() {
+        let [x, y] = track.point(k);
+        last = Some(window.update(&map, x, y, track.values()[k]).unwrap());
+    }
+    let fix = last.unwrap();
+    assert!(fix.ok() && (fix.x - end[0]).hypot(fix.y - end[1]) < 200.0, "{fix:?}");
+    assert_eq!(window.count(), 20 + track.len() - 1);
+}
+
+#[test]
+fn a_sliding_window_refuses_more_points_than_it_holds() {
+    let options = |min_points| ContourOptions { min_points: Some(min_points), ..tight(TransformKind::Rigid) };
+    assert!(matches!(SlidingState::new(3, None, 10.0, options(9)), Err(Error::Invalid { .. })));
+    assert!(SlidingState::new(3, None, 10.0, options(3)).is_ok());
+}
+
+#[test]
+fn a_sliding_window_says_that_its_search_was_too_narrow() {
+    let map = map_of(field);
+    let (track, end, _) = flown([1900.0, 0.0], 0.0, 0.1, 3);
+    let last = |half_width_m: f64| {
+        let options = ContourOptions { refine: true, starts: Starts::grid(half_width_m, 250.0), ..Default::default() };
+        let mut window = SlidingState::new(20, Some(0.1), 10.0, options).unwrap();
+        let fixes = (0..track.len()).map(|k| {
+            let [x, y] = track.point(k);
+            window.update(&map, x, y, track.values()[k]).unwrap()
+        });
+        fixes.skip(19).collect::<Vec<_>>()
+    };
+    for fix in last(1500.0) {
+        assert_eq!(fix.status, Status::AtEdge, "{fix:?}");
+    }
+    let fixes = last(2500.0);
+    assert!(fixes.iter().all(geomag_core::fix::Fix::ok) && (fixes[2].x - end[0]).abs() < 100.0, "{fixes:?}");
+}
+
+#[test]
+fn where_the_error_of_the_map_is_unknown_it_is_as_a_hole() {
+    let map = map_of(field);
+    let (track, _, _) = flown([300.0, 200.0], 0.0, 1.0, 9);
+    let options = ContourOptions { refine: true, starts: Starts::grid(1000.0, 250.0), ..Default::default() };
+    let with = |unknown: &dyn Fn(usize) -> bool| {
+        let layer = (0..map.values().len()).map(|i| if unknown(i) { f64::NAN } else { 1.0 }).collect();
+        let map = map.clone().with_sigma(Some(MapSigma::Grid(layer))).unwrap();
+        match_contour(&map, &track, Some(1.0), &options).unwrap()
+    };
+    assert!(with(&|_| false).ok());
+    let nowhere = with(&|_| true);
+    assert_eq!(nowhere.status, Status::Lost, "{nowhere:?}");
+    // Unknown south of the oldest three samples or so.
+    let part = with(&|i| i / 161 < 49);
+    assert!(part.ok() && part.n_samples < 22 && part.n_samples >= 18, "{part:?}");
+}

@@ -125,6 +125,8 @@ fn a_refused_step_leaves_the_filter_as_it_was() {
     assert!(matches!(feedback.step(20.0, f64::NAN, 0.0, None), Err(Error::NotFinite { .. })));
     let singular = ([0.0; 2], [[1.0, 1.0], [1.0, 1.0]]);
     assert!(matches!(feedback.step(20.0, 0.0, 0.0, Some(singular)), Err(Error::NotPositiveDefinite { .. })));
+    let lopsided = ([0.0; 2], [[100.0, 30.0], [-30.0, 100.0]]);
+    assert!(matches!(feedback.step(20.0, 0.0, 0.0, Some(lopsided)), Err(Error::Invalid { .. })));
     assert_eq!(feedback, before);
     assert!(InsFeedback::new(InsErrorModel { position_sigma_m: -1.0, ..Default::default() }, false, 0.9).is_err());
     assert!(InsFeedback::new(InsErrorModel::default(), false, 1.0).is_err());

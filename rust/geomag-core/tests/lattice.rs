@@ -172,3 +172,28 @@ fn correlation_of_a_constant_with_anything_is_unknown() {
         .unwrap();
     assert!(scores.iter().all(|s| s.is_nan()), "{scores:?}");
 }
+
+#[test]
+fn no_candidate_within_the_limit_is_given_up_for_rounded_weights() {
+    // All candidates score alike, all of it from the first sample; the weights are summed in single precision.
+    let axis = |n: usize| (0..n).map(|i| i as f64).collect::<Vec<_>>();
+    let values = (0..11 * 61).map(|i| if i % 61 < 30 { 1.0 } else { 0.0 }).collect();
+    let map = GridMap::new(GridValues::F32(values), &axis(61), &axis(11), false).unwrap();
+    let lattice = OffsetLattice::new([3.0; 2], [1.0; 2], 1 << 20).unwrap();
+    let mut points = vec![[50.0, 5.0]; 1000];
+    points[0] = [10.0, 5.0];
+    for weight in [0.1, 0.2, 0.3, 0.7, 1.1, 1.3, 1.7] {
+        let weights = Some(vec![weight; 1000]);
+        let comparison =
+            Comparison::new(&map, lattice, points.clone(), vec![0.0; 1000], weights, Interpolation::Bilinear, 1)
+                .unwrap();
+        let all = comparison.scores(Msd, 0..7, 0..7, None, &Quiet).unwrap();
+        assert!(all.iter().all(|s| *s == all[0]));
+        let contest = BestTwo::new([0.0; 2]);
+        contest.finished(all[0], 0, 0);
+        contest.finished(all[0], 6, 6);
+        assert_eq!(contest.limit(), all[0]);
+        let some = comparison.scores(Msd, 0..7, 0..7, Some(&contest), &Quiet).unwrap();
+        assert_eq!(all, some, "weight {weight}");
+    }
+}

@@ -1,7 +1,7 @@
 //! `NumPy` in and out: read-only arrays (or anything array-like) in, owned arrays out.
 
 use numpy::ndarray::{ArrayD, IxDyn};
-use numpy::{IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use numpy::{Element, IntoPyArray, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -10,11 +10,28 @@ use geomag_core::error::Error;
 
 use crate::error::{PyRes, invalid};
 
+/// An array whose elements Rust may refer to where they lie: of this type in native byte order, each at a multiple of
+/// its size from the next. A column of packed records is not: `ndarray` would round its strides down.
+pub fn in_place<'a, 'py, T: Element>(object: &'a Bound<'py, PyAny>) -> PyRes<Option<&'a Bound<'py, PyArrayDyn<T>>>> {
+    let Ok(array) = object.cast::<PyArrayDyn<T>>() else { return Ok(None) };
+    let size = size_of::<T>() as isize;
+    let whole = array.data().is_aligned() && array.strides().iter().all(|s| s % size == 0);
+    Ok((whole && !object.hasattr(intern!(object.py(), "mask"))?).then_some(array))
+}
+
+/// Whether an object is an array of single-precision numbers, in whatever byte order and layout.
+pub fn is_single(object: &Bound<'_, PyAny>) -> bool {
+    let py = object.py();
+    let described = || -> PyResult<(String, usize)> {
+        let dtype = object.getattr(intern!(py, "dtype"))?;
+        Ok((dtype.getattr(intern!(py, "kind"))?.extract()?, dtype.getattr(intern!(py, "itemsize"))?.extract()?))
+    };
+    described().is_ok_and(|(kind, size)| kind == "f" && size == 4)
+}
+
 /// Anything array-like as a double array; numbers only, masked entries become NaN.
 pub fn array<'py>(what: &str, object: &Bound<'py, PyAny>) -> PyRes<PyReadonlyArrayDyn<'py, f64>> {
-    if let Ok(array) = object.cast::<PyArrayDyn<f64>>()
-        && !object.hasattr(intern!(object.py(), "mask"))?
-    {
+    if let Some(array) = in_place::<f64>(object)? {
         return Ok(array.try_readonly().map_err(PyErr::from)?);
     }
     let py = object.py();

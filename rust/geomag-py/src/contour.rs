@@ -1,12 +1,12 @@
 //! `closest_contour_point`, `fit_transform`, `match_contour`, `SlidingContour`.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::closest::closest_contour_point;
-use geomag_core::matching::contour::{ContourOptions, match_channels};
+use geomag_core::matching::contour::{ContourOptions, match_channels_monitored};
 use geomag_core::matching::refine::RefineOptions;
 use geomag_core::matching::scene::{Channel, Priors};
 use geomag_core::matching::sliding::{AveragedPoint, SlidingState};
@@ -20,7 +20,7 @@ use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::{PyGridMap, interpolation};
 use crate::track::PyTrack;
-use crate::{long_call, state};
+use crate::{lock, long_call, state};
 
 fn grid_map(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Arc<GridMap>> {
     match object.cast::<PyGridMap>() {
@@ -278,7 +278,7 @@ type OtherChannel<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, f64);
 /// max_risk, min_goodness, min_overlap : float
 ///     Greatest risk and least p-value of a fix; least share of the track on the map.
 /// max_candidates : int
-///     A larger lattice is refused.
+///     A larger lattice is refused; 2^32 at most.
 ///
 /// Returns
 /// -------
@@ -332,17 +332,25 @@ pub fn py_match_contour(
         others.push((grid_map(&what, grid)?, vector(&what, values)?, *sigma));
     }
     let track = track.inner.clone();
-    let candidates = match &options.starts {
-        Starts::Grid { half_width_m, step_m, .. } => (2.0 * half_width_m / step_m + 1.0).powi(2),
-        _ => 0.0,
-    };
-    let units = (candidates * track.len() as f64 * (1 + others.len()) as f64 * 10.0) as u64;
-    let fix = long_call::run(py, units, None, None, |_| {
+    let units = work(&options, track.len(), 1 + others.len());
+    let fix = long_call::run(py, units, None, None, |monitor| {
         let mut all = vec![Channel { map: &map, values: track.values(), sigma }];
         all.extend(others.iter().map(|(map, values, sigma)| Channel { map, values, sigma: Some(*sigma) }));
-        match_channels(&all, &track, weights.as_deref(), &options)
+        match_channels_monitored(&all, &track, weights.as_deref(), &options, monitor)
     })?;
     Ok(fix.into())
+}
+
+/// About the nanoseconds that a match takes at worst.
+fn work(options: &ContourOptions, samples: usize, channels: usize) -> u64 {
+    let (samples, iterations) = (samples as f64, options.max_iterations as f64);
+    let (candidates, starts) = match &options.starts {
+        Starts::Indicated => (0.0, 1.0),
+        Starts::Offsets(offsets) => (0.0, offsets.len() as f64),
+        Starts::Grid { half_width_m, step_m, keep, .. } => ((2.0 * half_width_m / step_m + 1.0).powi(2), *keep as f64),
+    };
+    let refinement = if options.refine { 1000.0 * samples * samples } else { 0.0 };
+    (channels as f64 * (samples * (10.0 * candidates + 100.0 * starts * iterations) + starts * refinement)) as u64
 }
 
 /// Contour matching over a sliding window: a fix a sample.
@@ -388,9 +396,8 @@ pub struct PySlidingContour {
 }
 
 impl PySlidingContour {
-    fn lock(&self) -> MutexGuard<'_, SlidingState> {
-        // Nothing panics while the lock is held; a poisoned one still holds the last complete state.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, SlidingState> {
+        lock::attached(py, &self.inner)
     }
 }
 
@@ -429,7 +436,7 @@ impl PySlidingContour {
 
     /// Take one sample: indicated position (map units) and measured value. Returns a `Fix`; `searching` until full.
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyFix> {
-        Ok(py.detach(|| self.lock().update(&self.map, x, y, value))?.into())
+        Ok(py.detach(|| lock::detached(&self.inner).update(&self.map, x, y, value))?.into())
     }
 
     /// Take the samples of a track one by one. Returns a list of `Fix`.
@@ -438,12 +445,12 @@ impl PySlidingContour {
         // Some hundred iterations of a few microseconds a sample.
         let units = track.len() as u64 * 500_000;
         let fixes = long_call::run(py, units, None, None, |monitor| {
-            let mut state = self.lock();
+            let mut state = lock::detached(&self.inner);
             (0..track.len())
                 .map(|k| {
                     monitor.advance(k as u64, track.len() as u64)?;
                     let [x, y] = track.point(k);
-                    state.update(&self.map, x, y, track.values()[k])
+                    state.update_monitored(&self.map, x, y, track.values()[k], monitor)
                 })
                 .collect::<Result<Vec<_>, _>>()
         })?;
@@ -453,30 +460,30 @@ impl PySlidingContour {
     /// The sample that left the window last: dict of number, x, y (weighted mean) and estimates; None before.
     #[getter]
     fn settled<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
-        self.lock().settled().map(|p| point_dict(py, &p)).transpose()
+        self.lock(py).settled().map(|p| point_dict(py, &p)).transpose()
     }
 
     /// Samples in the window, oldest first, each a dict as `settled`.
     #[getter]
     fn averaged<'py>(&self, py: Python<'py>) -> PyRes<Vec<Bound<'py, PyDict>>> {
-        self.lock().averaged(&self.map).iter().map(|p| point_dict(py, p)).collect()
+        self.lock(py).averaged(&self.map).iter().map(|p| point_dict(py, p)).collect()
     }
 
     /// Samples in a full window.
     #[getter]
-    fn length(&self) -> usize {
-        self.lock().length()
+    fn length(&self, py: Python<'_>) -> usize {
+        self.lock(py).length()
     }
 
     /// Samples taken so far.
     #[getter]
-    fn count(&self) -> usize {
-        self.lock().count()
+    fn count(&self, py: Python<'_>) -> usize {
+        self.lock(py).count()
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save("SlidingContour", &*slf.get().lock())?);
+        let bytes = PyBytes::new(py, &state::save("SlidingContour", &*slf.get().lock(py))?);
         Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
     }
 
@@ -486,8 +493,8 @@ impl PySlidingContour {
         Ok(Self { inner, map: grid_map("grid", grid)?, grid: grid.clone().unbind() })
     }
 
-    fn __repr__(&self) -> String {
-        let s = self.lock();
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let s = self.lock(py);
         format!("SlidingContour(length {}, {} samples taken)", s.length(), s.count())
     }
 }

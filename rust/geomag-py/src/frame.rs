@@ -3,6 +3,7 @@
 use geomag_core::constants::GEOMAGNETIC_RADIUS_M;
 use geomag_core::error::Error;
 use geomag_core::frame::{Earth, LocalFrame};
+use numpy::PyUntypedArrayMethods;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
@@ -89,26 +90,19 @@ impl PyLocalFrame {
         let frame = &self.inner;
         match vector.len() {
             1 => {
-                let (vectors, shape) = vectors("vector", &vector.get_item(0)?)?;
-                let ([latitude, longitude], places) =
-                    broadcast(["latitude_deg", "longitude_deg"], [latitude_deg, longitude_deg])?;
-                require_latitudes(&latitude)?;
-                let n = latitude.len().max(vectors.len());
-                if places != shape && latitude.len() != 1 && vectors.len() != 1 {
-                    return Err(
-                        Error::shape("vector", format!("{places:?} + (3,)"), format!("{shape:?} + (3,)")).into()
-                    );
+                let given = array("vector", &vector.get_item(0)?)?;
+                if given.shape().last() != Some(&3) {
+                    let got = format!("{:?}", given.shape());
+                    return Err(Error::shape("vector", "(..., 3): north, east, down", got).into());
                 }
-                let pick = |len: usize, i: usize| if len == 1 { 0 } else { i };
-                let turned = py.detach(|| {
-                    (0..n)
-                        .map(|i| {
-                            let at = pick(latitude.len(), i);
-                            turn(frame, latitude[at], longitude[at], vectors[pick(vectors.len(), i)])
-                        })
-                        .collect()
-                });
-                stacked(py, turned, if latitude.len() == 1 { &shape } else { &places })
+                let part = |i: usize| given.get_item((py.Ellipsis(), i));
+                let (n, e, d) = (part(0)?, part(1)?, part(2)?);
+                let names = ["latitude_deg", "longitude_deg", "vector", "vector", "vector"];
+                let ([lat, lon, n, e, d], shape) = broadcast(names, [latitude_deg, longitude_deg, &n, &e, &d])?;
+                require_latitudes(&lat)?;
+                let turned =
+                    py.detach(|| (0..n.len()).map(|i| turn(frame, lat[i], lon[i], [n[i], e[i], d[i]])).collect());
+                stacked(py, turned, &shape)
             }
             3 => {
                 let (n, e, d) = (vector.get_item(0)?, vector.get_item(1)?, vector.get_item(2)?);

@@ -6,11 +6,11 @@ use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapSigma};
 use geomag_core::map_error::{DistanceLayer, MapErrorModel};
-use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
+use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::arrays::{broadcast, matrix, shaped, vector};
+use crate::arrays::{broadcast, in_place, is_single, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
 
@@ -77,14 +77,18 @@ impl PyGridMap {
 
 /// Values of a NumPy array in their own precision, row-major, with the shape.
 fn grid_values(object: &Bound<'_, PyAny>) -> PyRes<(GridValues, usize, usize)> {
-    if let Ok(array) = object.cast::<PyArrayDyn<f32>>()
-        && !object.hasattr("mask")?
-    {
-        let &[rows, columns] = array.shape() else {
-            return Err(Error::shape("values", "two dimensions (y, x)", format!("{:?}", array.shape())).into());
+    if is_single(object) && !object.hasattr("mask")? {
+        let copy = match in_place::<f32>(object)? {
+            Some(_) => object.clone(),
+            None => object.call_method1("astype", ("float32",))?,
         };
-        let read = array.try_readonly().map_err(PyErr::from)?;
-        return Ok((GridValues::F32(read.as_array().iter().copied().collect()), rows, columns));
+        if let Some(array) = in_place::<f32>(&copy)? {
+            let &[rows, columns] = array.shape() else {
+                return Err(Error::shape("values", "two dimensions (y, x)", format!("{:?}", array.shape())).into());
+            };
+            let read = array.try_readonly().map_err(PyErr::from)?;
+            return Ok((GridValues::F32(read.as_array().iter().copied().collect()), rows, columns));
+        }
     }
     let (values, rows, columns) = matrix("values", object)?;
     Ok((GridValues::F64(values), rows, columns))
@@ -92,7 +96,7 @@ fn grid_values(object: &Bound<'_, PyAny>) -> PyRes<(GridValues, usize, usize)> {
 
 /// The rounding that coordinates stored in single precision carry.
 fn axis_resolution(object: &Bound<'_, PyAny>, values: &[f64]) -> f64 {
-    if object.cast::<PyArrayDyn<f32>>().is_ok() {
+    if is_single(object) {
         2.0 * f64::from(f32::EPSILON) * values.iter().fold(0.0_f64, |m, v| m.max(v.abs()))
     } else {
         0.0

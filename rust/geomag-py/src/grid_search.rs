@@ -80,7 +80,7 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 /// sigma : float, optional
 ///     Standard deviation of a measured value with the map's error; estimated from the best fit by default.
 /// ambiguity : float
-///     The answer is `ambiguous` where a place more than two cells away has more than this share of its likelihood.
+///     The answer is `ambiguous` where a place two cells away or more has more than this share of its likelihood.
 /// refine : bool
 ///     Refine the best offset below the lattice step.
 /// surface : bool

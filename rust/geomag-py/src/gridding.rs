@@ -25,7 +25,7 @@ pub fn py_minimum_curvature<'py>(
 ) -> PyRes<Bound<'py, PyAny>> {
     let (x, y, values) = (vector("x", x)?, vector("y", y)?, vector("values", values)?);
     let (xs, ys) = (Axis::new(x_axis.0, x_axis.1, x_axis.2)?, Axis::new(y_axis.0, y_axis.1, y_axis.2)?);
-    let units = (xs.len() * ys.len() * sweeps * 4) as u64;
+    let units = [xs.len(), ys.len(), sweeps, 4].iter().fold(1_u64, |product, &n| product.saturating_mul(n as u64));
     let out = long_call::run(py, units, None, progress, |monitor| {
         minimum_curvature([&x, &y, &values], &xs, &ys, aspect, sweeps, monitor)
     })?;

@@ -1,6 +1,6 @@
 //! `Iema` and its steps.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use geomag_core::field::Field;
 use geomag_core::lattice::DEFAULT_MAX_CANDIDATES;
@@ -12,8 +12,8 @@ use crate::arrays::{pair, shaped};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
-use crate::long_call;
 use crate::track::PyTrack;
+use crate::{lock, long_call};
 
 /// Candidates from which a step is worth releasing the interpreter for.
 const MANY: usize = 50_000;
@@ -137,9 +137,8 @@ pub struct PyIema {
 }
 
 impl PyIema {
-    fn lock(&self) -> MutexGuard<'_, Iema> {
-        // A panic while the lock was held cannot leave a half-made state: updates replace it whole.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, Iema> {
+        lock::attached(py, &self.inner)
     }
 }
 
@@ -179,10 +178,10 @@ impl PyIema {
     /// Take one sample: indicated position (map units) and measured value. Returns an `IemaStep`.
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyIemaStep> {
         let take = |mut iema: MutexGuard<'_, Iema>| iema.update(x, y, value).map(|step| (step, iema.field().clone()));
-        let iema = self.lock();
+        let iema = self.lock(py);
         let (inner, field) = if iema.n_feasible() > MANY {
             drop(iema);
-            py.detach(|| take(self.lock()))?
+            py.detach(|| take(lock::detached(&self.inner)))?
         } else {
             take(iema)?
         };
@@ -192,20 +191,23 @@ impl PyIema {
     /// Run over a whole track from a fresh start; stops at the first fix, or when lost. Returns a `Fix`.
     fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<PyFix> {
         let track = track.inner.clone();
-        let units = (self.lock().lattice().len() * 3) as u64;
-        let fix = long_call::run(py, units, None, None, |_| self.lock().run(&track))?;
+        // At worst every candidate stays.
+        let units = (self.lock(py).lattice().len() as u64).saturating_mul(track.len() as u64);
+        let fix = long_call::run(py, units, None, None, |monitor| {
+            lock::detached(&self.inner).run_monitored(&track, monitor)
+        })?;
         Ok(fix.into())
     }
 
     /// Begin again: every candidate feasible, no sample seen.
-    fn reset(&self) {
-        self.lock().reset();
+    fn reset(&self, py: Python<'_>) {
+        self.lock(py).reset();
     }
 
     /// The offset matrix: True where feasible; row = y offset ascending, column = x offset ascending.
     #[getter]
     fn feasible<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let iema = self.lock();
+        let iema = self.lock(py);
         let (rows, columns) = (iema.lattice().rows(), iema.lattice().columns());
         let flat = numpy::PyArray1::from_vec(py, iema.feasible());
         Ok(numpy::PyArrayMethods::reshape(&flat, [rows, columns])?.into_any())
@@ -214,14 +216,14 @@ impl PyIema {
     /// Log of the evaluation matrix, minus infinity where infeasible; laid out as `feasible`.
     #[getter]
     fn log_scores<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let iema = self.lock();
+        let iema = self.lock(py);
         shaped(py, iema.log_scores(), &[iema.lattice().rows(), iema.lattice().columns()])
     }
 
     /// x offsets of the columns and y offsets of the rows, map units.
     #[getter]
     fn offsets<'py>(&self, py: Python<'py>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let iema = self.lock();
+        let iema = self.lock(py);
         let lattice = iema.lattice();
         let x: Vec<f64> = (0..lattice.columns()).map(|c| lattice.offset(0, c)[0]).collect();
         let y: Vec<f64> = (0..lattice.rows()).map(|r| lattice.offset(r, 0)[1]).collect();
@@ -231,19 +233,19 @@ impl PyIema {
 
     /// Samples seen since the start or the last reset.
     #[getter]
-    fn n_samples(&self) -> usize {
-        self.lock().n_samples()
+    fn n_samples(&self, py: Python<'_>) -> usize {
+        self.lock(py).n_samples()
     }
 
     /// Candidates left.
     #[getter]
-    fn n_feasible(&self) -> usize {
-        self.lock().n_feasible()
+    fn n_feasible(&self, py: Python<'_>) -> usize {
+        self.lock(py).n_feasible()
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().lock().save()?);
+        let bytes = PyBytes::new(py, &slf.get().lock(py).save()?);
         Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
     }
 
@@ -252,8 +254,8 @@ impl PyIema {
         Ok(Self { inner: Mutex::new(Iema::restore(field(grid)?, bytes)?), grid: grid.clone().unbind() })
     }
 
-    fn __repr__(&self) -> String {
-        let iema = self.lock();
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let iema = self.lock(py);
         let lattice = iema.lattice();
         format!(
             "Iema({} x {} offsets, {} samples, {} feasible)",

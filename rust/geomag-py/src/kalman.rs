@@ -3,7 +3,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use geomag_core::error::Error;
-use geomag_core::kalman::{ExtendedKalmanFilter, Innovation, Scaling, UnscentedKalmanFilter};
+use geomag_core::kalman::{ExtendedKalmanFilter, Innovation, MAX_STATES, Scaling, UnscentedKalmanFilter};
 use numpy::{PyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -20,6 +20,9 @@ fn row_major<'py>(py: Python<'py>, m: &CoreMatrix) -> PyRes<Bound<'py, PyAny>> {
 
 /// A square matrix: given whole, as its diagonal, or as one number times the identity.
 fn covariance(what: &str, n: usize, object: &Bound<'_, PyAny>) -> PyRes<Vec<f64>> {
+    if n > MAX_STATES {
+        return Err(invalid(what, &format!("at most {MAX_STATES} rows"), n));
+    }
     let array = array(what, object)?;
     let values: Vec<f64> = array.as_array().iter().copied().collect();
     let diagonal = |at: &dyn Fn(usize) -> f64| {

@@ -30,6 +30,7 @@ mod iema;
 mod information;
 mod ins_feedback;
 mod kalman;
+mod lock;
 mod long_call;
 mod navigator;
 mod posterior;

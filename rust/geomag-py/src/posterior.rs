@@ -1,6 +1,6 @@
 //! Calibrated matching.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
@@ -10,14 +10,17 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 
 use crate::arrays::{pair, shaped, vector};
-use crate::error::PyRes;
+use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
-use crate::long_call;
 use crate::track::PyTrack;
+use crate::{lock, long_call};
 
 /// A further field measured along the track: its map, values and sensor sigma.
 type Extra = (Arc<dyn Field>, Vec<f64>, Option<f64>);
+
+/// Greatest number of simulated flights a track.
+const MAX_FLIGHTS: usize = 1_000_000;
 
 /// Checked options from arguments of the options' own names; those not named stand at their defaults.
 macro_rules! options {
@@ -229,7 +232,7 @@ pub fn match_posterior_many(
         position_sigma_m, nu, min_overlap, min_goodness, max_candidates
     };
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
-    let units = tracks.len() as u64 * 4_000_000;
+    let units = (tracks.len() as u64).saturating_mul(4_000_000);
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
         if streaming {
             posterior::stream_many(&map, &tracks, sigma, &options, monitor)
@@ -323,10 +326,16 @@ impl PyPosteriorStep {
 /// ...         break
 /// >>> step.status, step.risk <= 0.01, matcher.n_samples < 30
 /// ('fixed', True, True)
-#[pyclass(name = "PosteriorMatcher", module = "geomag")]
+#[pyclass(frozen, name = "PosteriorMatcher", module = "geomag")]
 pub struct PyPosteriorMatcher {
-    inner: PosteriorMatcher,
+    inner: Mutex<PosteriorMatcher>,
     grid: Py<PyAny>,
+}
+
+impl PyPosteriorMatcher {
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, PosteriorMatcher> {
+        lock::attached(py, &self.inner)
+    }
 }
 
 #[pymethods]
@@ -361,28 +370,31 @@ impl PyPosteriorMatcher {
             position_sigma_m, nu, min_overlap, min_goodness, max_candidates
         };
         let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;
-        Ok(Self { inner, grid: grid.clone().unbind() })
+        Ok(Self { inner: Mutex::new(inner), grid: grid.clone().unbind() })
     }
 
     /// Takes one sample: indicated position `x`, `y` (map units) and measured `value`. Returns a `PosteriorStep`.
     ///
     /// Raises `NotFiniteError` for a sample that is not finite; it is not taken.
-    fn update(&mut self, x: f64, y: f64, value: f64) -> PyRes<PyPosteriorStep> {
-        Ok(PyPosteriorStep { inner: self.inner.update(x, y, value)? })
+    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyPosteriorStep> {
+        Ok(PyPosteriorStep { inner: py.detach(|| lock::detached(&self.inner).update(x, y, value))? })
     }
 
     /// Takes samples until a fix is declared or the track ends; the answer then.
-    fn run(&mut self, py: Python<'_>, track: &Bound<'_, PyTrack>) -> PyRes<PyFix> {
+    fn run(&self, py: Python<'_>, track: &Bound<'_, PyTrack>) -> PyRes<PyFix> {
         let track = track.get().inner.clone();
-        let inner = &mut self.inner;
-        let fix = py.detach(|| -> Result<_, Error> {
+        let total = track.len() as u64;
+        let units = total.saturating_mul(self.lock(py).n_feasible() as u64);
+        let fix = long_call::run(py, units, None, None, |monitor| {
+            let mut matcher = lock::detached(&self.inner);
             for k in 0..track.len() {
-                let step = inner.update(track.x()[k], track.y()[k], track.values()[k])?;
+                monitor.advance(k as u64, total)?;
+                let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
                 if let Some(fix) = step.fix.filter(geomag_core::fix::Fix::ok) {
                     return Ok(fix);
                 }
             }
-            inner.fix()
+            matcher.fix()
         })?;
         Ok(fix.into())
     }
@@ -391,41 +403,43 @@ impl PyPosteriorMatcher {
     ///
     /// Raises `TooFewSamplesError` before there are enough samples.
     fn fix(&self, py: Python<'_>) -> PyRes<PyFix> {
-        let fix = py.detach(|| self.inner.fix())?;
+        let fix = py.detach(|| lock::detached(&self.inner).fix())?;
         Ok(fix.into())
     }
 
     /// Forgets all samples; every candidate is back.
-    fn reset(&mut self) -> PyRes<()> {
-        Ok(self.inner.reset()?)
+    fn reset(&self, py: Python<'_>) -> PyRes<()> {
+        Ok(self.lock(py).reset()?)
     }
 
     /// Samples seen.
     #[getter]
-    fn n_samples(&self) -> usize {
-        self.inner.n_samples()
+    fn n_samples(&self, py: Python<'_>) -> usize {
+        self.lock(py).n_samples()
     }
 
     /// Candidates left.
     #[getter]
-    fn n_feasible(&self) -> usize {
-        self.inner.n_feasible()
+    fn n_feasible(&self, py: Python<'_>) -> usize {
+        self.lock(py).n_feasible()
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let this = slf.borrow();
-        let state = PyBytes::new(slf.py(), &this.inner.save()?);
-        let arguments = (this.grid.clone_ref(slf.py()), state).into_pyobject(slf.py())?;
+        let (py, this) = (slf.py(), slf.get());
+        let state = PyBytes::new(py, &this.lock(py).save()?);
+        let arguments = (this.grid.clone_ref(py), state).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, state: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: PosteriorMatcher::load(field(grid)?, state)?, grid: grid.clone().unbind() })
+        let inner = Mutex::new(PosteriorMatcher::load(field(grid)?, state)?);
+        Ok(Self { inner, grid: grid.clone().unbind() })
     }
 
-    fn __repr__(&self) -> String {
-        format!("PosteriorMatcher({} samples, {} feasible)", self.inner.n_samples(), self.inner.n_feasible())
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let matcher = self.lock(py);
+        format!("PosteriorMatcher({} samples, {} feasible)", matcher.n_samples(), matcher.n_feasible())
     }
 }
 
@@ -512,7 +526,7 @@ impl PyPrediction {
 /// nu : float, optional
 ///     Degrees of freedom of the Student-t residuals; from the map's errors by default.
 /// flights : int
-///     Simulated flights a track.
+///     Simulated flights a track, at most 1,000,000.
 /// seed : int
 ///     Of the simulated flights.
 ///
@@ -562,7 +576,10 @@ pub fn predict_many(
         half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu
     };
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
-    let units = (tracks.len() * flights.max(1)) as u64 * 4_000_000;
+    if flights > MAX_FLIGHTS {
+        return Err(invalid("flights", &format!("at most {MAX_FLIGHTS}"), flights));
+    }
+    let units = (tracks.len() as u64).saturating_mul(flights.max(1) as u64).saturating_mul(4_000_000);
     let found = long_call::run(py, units, None, progress, |monitor| {
         posterior::predict_many(&*map, &tracks, sigma, &options, flights, seed, monitor)
     })?;

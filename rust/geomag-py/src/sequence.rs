@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use geomag_core::matching::contour::ContourOptions;
 use geomag_core::matching::sequence::{
-    DeltaModulator, SequenceRules, choose_sequence, delta_modulation, energy_bandwidth,
+    DeltaModulator, SequenceRules, choose_sequence_monitored, delta_modulation, energy_bandwidth_monitored,
 };
 use geomag_core::matching::tuning::{BpsoOptions, InsDraw, Setting, TuneMethod, TuneOptions, tune_sequence};
 use numpy::PyArray1;
@@ -17,6 +17,11 @@ use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
 use crate::track::PyTrack;
 use crate::{long_call, state};
+
+/// About the nanoseconds of a sum over all pairs of values.
+fn pairs(values: usize) -> u64 {
+    (values as u64).saturating_mul(values as u64)
+}
 
 fn indices<'py>(py: Python<'py>, keep: &[usize]) -> Bound<'py, PyAny> {
     PyArray1::from_vec(py, keep.iter().map(|&k| k as i64).collect()).into_any()
@@ -121,8 +126,11 @@ impl PyDeltaModulator {
 /// 2000
 #[pyfunction(name = "energy_bandwidth")]
 #[pyo3(signature = (values, spacing_m, *, share = 0.96))]
-pub fn py_energy_bandwidth(values: &Bound<'_, PyAny>, spacing_m: f64, share: f64) -> PyRes<f64> {
-    Ok(energy_bandwidth(&vector("values", values)?, spacing_m, share)?)
+pub fn py_energy_bandwidth(py: Python<'_>, values: &Bound<'_, PyAny>, spacing_m: f64, share: f64) -> PyRes<f64> {
+    let values = vector("values", values)?;
+    long_call::run(py, pairs(values.len()), None, None, |monitor| {
+        energy_bandwidth_monitored(&values, spacing_m, share, monitor)
+    })
 }
 
 /// Choose the samples of a track to match: the sampling theorem, one a cell, and delta modulation.
@@ -167,7 +175,9 @@ pub fn py_choose_sequence<'py>(
 ) -> PyRes<Bound<'py, PyDict>> {
     let (along_m, values) = (vector("along_m", along_m)?, vector("values", values)?);
     let rules = SequenceRules { quantum, cell_m, min_cells, energy_share };
-    let chosen = py.detach(|| choose_sequence(&along_m, &values, &rules))?;
+    let chosen = long_call::run(py, pairs(values.len()), None, None, |monitor| {
+        choose_sequence_monitored(&along_m, &values, &rules, monitor)
+    })?;
     let d = PyDict::new(py);
     d.set_item("keep", indices(py, &chosen.keep))?;
     d.set_item("filled", indices(py, &chosen.filled))?;
@@ -216,11 +226,12 @@ fn setting_dict<'py>(py: Python<'py>, s: &Setting) -> PyRes<Bound<'py, PyDict>> 
 ///     Cost of one point in one iteration. 1 counts work, the same on every machine; seconds measured on this one make
 ///     the cost time.
 /// draws, seed : int
-///     Number of draws and their seed.
+///     Number of draws, at most 1,000,000 and 2^28 samples in all, and their seed.
 /// transform, radius_m, tolerance_m, max_iterations
 ///     As for `match_contour`; the radius is three times `offset_m` by default.
 /// method : {'exhaustive', 'bpso'}
-///     Every setting, in parallel; or binary particle swarm (`particles`, `iterations`).
+///     Every setting, in parallel; or binary particle swarm (`particles`, `iterations`, at most 1,000,000 each). There may
+///     be at most 1,000,000 settings.
 /// threads : int, optional
 ///     Threads to use; the answer does not depend on it.
 /// progress : bool or callable, optional
@@ -314,8 +325,8 @@ pub fn py_tune_sequence<'py>(
     };
     let track = track.inner.clone();
     // Some hundred microseconds a trial.
-    let trials = options.quanta.len() * max_length.unwrap_or(30) * draws;
-    let tuned = long_call::run(py, trials as u64 * 300_000, threads, progress, |monitor| {
+    let trials = options.quanta.len().saturating_mul(max_length.unwrap_or(30)).saturating_mul(draws) as u64;
+    let tuned = long_call::run(py, trials.saturating_mul(300_000), threads, progress, |monitor| {
         tune_sequence(&map, &track, &options, &method, monitor)
     })?;
     let d = setting_dict(py, &tuned.best)?;

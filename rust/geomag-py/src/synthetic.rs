@@ -17,6 +17,9 @@ use crate::grid::PyGridMap;
 use crate::long_call;
 use crate::track::PyTrack;
 
+/// Points sampled between two looks at whether to stop.
+const BATCH: usize = 256;
+
 /// Settings from JSON; an unknown or ill-typed field is named.
 pub fn settings<T: DeserializeOwned>(what: &str, json: &str) -> PyRes<T> {
     serde_json::from_str(json).map_err(|e| invalid(what, "settings of that kind", e))
@@ -29,6 +32,13 @@ pub fn settings<T: DeserializeOwned>(what: &str, json: &str) -> PyRes<T> {
 pub struct PySyntheticField {
     /// The field.
     pub inner: SyntheticField,
+}
+
+impl PySyntheticField {
+    /// About the nanoseconds that a node of a map takes.
+    fn units(&self) -> u64 {
+        (2 * self.inner.waves().len() + 20 * self.inner.dipoles().len()).max(1) as u64
+    }
 }
 
 #[pymethods]
@@ -55,7 +65,15 @@ impl PySyntheticField {
     #[pyo3(signature = (x, y))]
     fn sample<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.value(x, y)).collect());
+        let (field, total) = (&self.inner, x.len() as u64);
+        let values = long_call::run(py, total.saturating_mul(20 * self.units()), None, None, |monitor| {
+            let mut values = Vec::with_capacity(x.len());
+            for (x, y) in x.chunks(BATCH).zip(y.chunks(BATCH)) {
+                monitor.advance(values.len() as u64, total)?;
+                values.extend(x.iter().zip(y).map(|(&x, &y)| field.value(x, y)));
+            }
+            Ok(values)
+        })?;
         shaped(py, values, &shape)
     }
 
@@ -73,12 +91,16 @@ impl PySyntheticField {
         crs: Option<String>,
     ) -> PyRes<PyGridMap> {
         let field = &self.inner;
+        let draw = |x: Axis, y: Axis| {
+            let nodes = (x.len() as u64).saturating_mul(y.len() as u64);
+            long_call::run(py, nodes.saturating_mul(self.units()), None, None, |monitor| {
+                field.grid_monitored(x, y, monitor)
+            })
+        };
         let map = match (step, x, y) {
             (Some(step), None, None) => {
-                let [x0, y0, x1, y1] = field.extent();
-                let per_node = 2 * field.waves().len() + 20 * field.dipoles().len();
-                let units = (x1 - x0) / step * (y1 - y0) / step * per_node as f64;
-                long_call::run(py, units.abs() as u64, None, None, |_| field.grid_by_step(step))?
+                let [x, y] = field.axes_by_step(step)?;
+                draw(x, y)?
             }
             (None, Some(x), Some(y)) => {
                 let x = Axis::from_coordinates("x", &vector("x", x)?, 0.0)?;
@@ -86,7 +108,7 @@ impl PySyntheticField {
                 if x.1 || y.1 {
                     return Err(invalid("axes of a synthetic map", "ascending coordinates", "descending ones"));
                 }
-                py.detach(|| field.grid(x.0, y.0))?
+                draw(x.0, y.0)?
             }
             _ => return Err(invalid("grid", "either step, or x and y", "neither or both")),
         };

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::GridMap;
-use super::axis::NODE_TOLERANCE;
+use super::axis::{Axis, NODE_TOLERANCE};
 use crate::field::Field;
 
 /// How a map is read between its nodes.
@@ -105,14 +105,20 @@ impl GridMap {
     /// A bilinear patch has its extremes at its corners, so the corners of all the patches that the box cuts are enough.
     pub fn bounds(&self, x: f64, y: f64, half_x: f64, half_y: f64) -> Option<(f64, f64)> {
         let [px, py] = self.position(x, y);
+        let half_cells = [half_x.abs() / self.x.step(), half_y.abs() / self.y.step()];
+        let on_map = |axis: &Axis, p: f64, half: f64| axis.cell(p - half).is_some() && axis.cell(p + half).is_some();
+        // Before any cut is listed: a box that leaves the map may be of any size.
+        if !(on_map(&self.x, px, half_cells[0]) && on_map(&self.y, py, half_cells[1])) {
+            return None;
+        }
         let cuts = |p: f64, half: f64| {
             let (low, high) = (p - half, p + half);
             let inner = (low + NODE_TOLERANCE).ceil() as i64..=(high - NODE_TOLERANCE).floor() as i64;
             std::iter::once(low).chain(inner.map(|i| i as f64)).chain(std::iter::once(high)).collect::<Vec<_>>()
         };
-        let columns = cuts(px, half_x.abs() / self.x.step());
+        let columns = cuts(px, half_cells[0]);
         let (mut least, mut greatest) = (f64::INFINITY, f64::NEG_INFINITY);
-        for r in cuts(py, half_y.abs() / self.y.step()) {
+        for r in cuts(py, half_cells[1]) {
             for &c in &columns {
                 let v = self.at_position(c, r, Interpolation::Bilinear).0;
                 if v.is_nan() {

@@ -62,6 +62,9 @@ impl Estimate {
         if n == 0 {
             return Err(Error::shape("state x", "at least one number", "none"));
         }
+        if n > super::MAX_STATES {
+            return Err(Error::shape("state x", format!("at most {} numbers", super::MAX_STATES), n));
+        }
         require_finite("state x", mean)?;
         let covariance = square("covariance P", n, covariance)?;
         let (factor, regularised) = factorise("covariance P", &covariance)?;
@@ -256,7 +259,7 @@ pub(super) fn outer(factor: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// A symmetric matrix from row-major numbers.
-pub(super) fn square(what: &str, n: usize, values: &[f64]) -> Result<DMatrix<f64>> {
+pub(crate) fn square(what: &str, n: usize, values: &[f64]) -> Result<DMatrix<f64>> {
     if values.len() != n * n {
         return Err(Error::shape(what, format!("({n}, {n})"), format!("{} numbers", values.len())));
     }

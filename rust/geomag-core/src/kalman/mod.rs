@@ -11,9 +11,13 @@ mod extended;
 mod unscented;
 
 pub use consistency::{chi_square_cdf, chi_square_quantile};
+pub(crate) use estimate::square as symmetric;
 pub use estimate::{Estimate, Innovation};
 pub use extended::ExtendedKalmanFilter;
 pub use unscented::{Scaling, UnscentedKalmanFilter};
+
+/// Greatest number of states, and of numbers in a measurement: a square matrix of them takes 128 MiB.
+pub const MAX_STATES: usize = 4096;
 
 #[cfg(test)]
 mod tests;

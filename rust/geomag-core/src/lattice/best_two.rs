@@ -52,9 +52,9 @@ impl BestTwo {
                 self.limit.fetch_min(score.max(partner.score).to_bits(), Ordering::Relaxed);
             }
             // Nearer to both: the better of what is there gives way only to a better one.
-            (None, [first, second]) => {
+            (None, [first, _]) => {
                 if first.is_none_or(|first| score < first.score) {
-                    *pair = [Some(new), second.filter(far)];
+                    *pair = [Some(new), None];
                 }
             }
         }

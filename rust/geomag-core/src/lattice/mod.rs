@@ -32,7 +32,8 @@ use crate::field::Field;
 use crate::frame::displacement_m;
 use crate::track::Track;
 
-/// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores.
+/// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores; in IEMA, which keeps 24 bytes of
+/// every one that its first sample leaves, up to 6 GiB, and twice that while they are gathered.
 pub const DEFAULT_MAX_CANDIDATES: u64 = 1 << 28;
 
 /// What no caller can raise that limit above: 2^31, 16 GiB of scores. Beyond it a machine that promises more memory than
@@ -125,6 +126,20 @@ pub enum Pivot {
     Centroid,
 }
 
+/// The mean of points, longitudes counted from the first one's so that a track over the date line has its own middle.
+pub(crate) fn centroid(geographic: bool, points: impl Iterator<Item = [f64; 2]>) -> [f64; 2] {
+    let mut points = points.peekable();
+    let origin = points.peek().copied().unwrap_or([f64::NAN; 2]);
+    let (mut x, mut y, mut n) = (0.0, 0.0, 0.0);
+    for p in points {
+        let unwrapped = if geographic { crate::frame::wrap_longitude(p[0], origin[0]) } else { p[0] };
+        x += unwrapped - origin[0];
+        y += p[1] - origin[1];
+        n += 1.0;
+    }
+    [origin[0] + x / n, origin[1] + y / n]
+}
+
 /// Track points rotated by `heading_deg` (clockwise from above, as headings are) and stretched by `scale` about the pivot.
 ///
 /// Done in metres; a rotation in longitude and latitude is no rotation. No rotation and no stretch give the points back
@@ -137,16 +152,7 @@ pub fn place_track(field: &dyn Field, track: &Track, heading_deg: f64, scale: f6
     let geographic = field.geographic();
     let pivot = match pivot {
         Pivot::Newest => track.newest(),
-        Pivot::Centroid => {
-            let origin = track.point(0);
-            let (mut x, mut y) = (0.0, 0.0);
-            for p in points.clone() {
-                let unwrapped = if geographic { crate::frame::wrap_longitude(p[0], origin[0]) } else { p[0] };
-                x += unwrapped - origin[0];
-                y += p[1] - origin[1];
-            }
-            [origin[0] + x / track.len() as f64, origin[1] + y / track.len() as f64]
-        }
+        Pivot::Centroid => centroid(geographic, points.clone()),
     };
     let (sin, cos) = heading_deg.to_radians().sin_cos();
     points
@@ -157,4 +163,17 @@ pub fn place_track(field: &dyn Field, track: &Track, heading_deg: f64, scale: f6
             [p[0] + moved[0] / unit[0], p[1] + moved[1] / unit[1]]
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::centroid;
+
+    #[test]
+    fn the_middle_of_a_track_over_the_date_line_is_on_it() {
+        let track = [[179.5, 10.0], [-179.5, 11.0], [-178.5, 12.0]];
+        let [x, y] = centroid(true, track.into_iter());
+        assert!((x - 180.5).abs() < 1e-12 && (y - 11.0).abs() < 1e-12, "{x} {y}");
+        assert_eq!(centroid(false, [[179.0, 0.0], [-179.0, 0.0]].into_iter()), [0.0, 0.0]);
+    }
 }

@@ -11,6 +11,8 @@ pub trait Real: Copy + PartialOrd + Send + Sync + Default + std::fmt::Debug + 's
     type Vector<S: Simd>: Copy;
     /// Numbers in a vector.
     fn lanes<S: Simd>() -> usize;
+    /// Distance from one to the next number of this precision.
+    fn epsilon() -> f64;
     /// Rounded to this precision.
     fn from_f64(value: f64) -> Self;
     /// In double precision.
@@ -47,6 +49,10 @@ macro_rules! real {
             #[inline(always)]
             fn lanes<S: Simd>() -> usize {
                 S::$lanes
+            }
+            #[inline(always)]
+            fn epsilon() -> f64 {
+                Self::EPSILON.to_f64()
             }
             #[inline(always)]
             fn from_f64(value: f64) -> Self {

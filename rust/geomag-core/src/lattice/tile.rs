@@ -219,7 +219,9 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
                 Sample::new(&tile.shifts[k], nodes, stride, tile.measured[k], weight)
             });
             // The limit falls as other tiles are finished; what rounding leaves undecided is worked out.
-            let limit = contest.filter(|_| first > 0).map(|best| best.limit() * tile.total_weight * (1.0 + 1e-12));
+            // A score is divided by its own sum of weights, in T: up to half a rounding a sample beyond that in double.
+            let slack = 1e-12 + (tile.shifts.len() + 8) as f64 * T::epsilon();
+            let limit = contest.filter(|_| first > 0).map(|best| best.limit() * tile.total_weight * (1.0 + slack));
             for (i, sums) in sums.chunks_exact_mut(pair * lanes).enumerate() {
                 if scores.given_up[i] {
                     continue;

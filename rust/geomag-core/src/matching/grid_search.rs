@@ -157,8 +157,8 @@ struct Best {
 ///
 /// The best offset is refined by a quadratic through the scores around it. The covariance is Gauss-Newton's: noise over
 /// curvature, with the map's gradient along the matched track; measures without a noise model (product, Hausdorff) have
-/// none. The status is `at_edge` where the best lies on the border of the search, `ambiguous` where a place more than
-/// two map cells away fits nearly as well (see [`GridSearch::ambiguity`]), `uninformative` where the field is too flat, `rejected`
+/// none. The status is `at_edge` where the best lies on the border of the search, `ambiguous` where a place
+/// two map cells away or more fits nearly as well (see [`GridSearch::ambiguity`]), `uninformative` where the field is too flat, `rejected`
 /// where sigma is given and the residuals of a mean square difference are far beyond it.
 /// None of this is a calibrated risk.
 ///
@@ -313,8 +313,8 @@ impl GridSearch {
         let least = 1e-6 * spread;
         let ratio = |floor: f64| ((runner_up + floor) / (best + floor)).ln();
         let log_ratio = match (self.criterion, self.robust, self.sigma) {
-            (Criterion::Prod, _, _) => return -runner_up > 0.95 * -best,
-            (Criterion::Hausdorff { .. }, _, _) => return runner_up < 1.05 * best,
+            // The product may be of either sign: within a twentieth of its size.
+            (Criterion::Prod | Criterion::Hausdorff { .. }, _, _) => return !(runner_up - best > 0.05 * best.abs()),
             (Criterion::Msd, Some(Robust::StudentT { .. }), _) => 0.5 * n * (runner_up - best),
             (Criterion::Msd, None, Some(sigma)) => 0.5 * n * (runner_up - best) / (sigma * sigma),
             (Criterion::Msd, _, _) => 0.5 * n * ratio(least * least),
@@ -459,5 +459,20 @@ impl Neighbourhood {
             }
         }
         [alone(gx, hx), alone(gy, hy)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scores_without_a_noise_model_are_compared_by_their_size_whatever_their_sign() {
+        let product = GridSearch::new(Criterion::Prod, [1.0; 2]);
+        // Inner scores: the product negated.
+        let ambiguous = |best: f64, runner_up: f64| product.ambiguous(-best, -runner_up, 20, 1.0);
+        assert!(ambiguous(100.0, 96.0) && !ambiguous(100.0, 94.0) && !ambiguous(100.0, -100.0));
+        assert!(ambiguous(-100.0, -104.0) && !ambiguous(-100.0, -106.0));
+        assert!(ambiguous(-100.0, -100.0) && ambiguous(0.0, 0.0));
     }
 }

@@ -14,6 +14,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
 use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
+use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
 
 /// The gate of the paper, in standard deviations.
@@ -259,8 +260,17 @@ impl Iema {
     /// # Errors
     /// As [`Iema::update`].
     pub fn run(&mut self, track: &Track) -> Result<Fix> {
+        self.run_monitored(track, &Quiet)
+    }
+
+    /// [`Iema::run`] that can be watched and stopped; once stopped, the samples seen so far are kept.
+    ///
+    /// # Errors
+    /// As [`Iema::run`], and [`Error::Interrupted`].
+    pub fn run_monitored(&mut self, track: &Track, monitor: &dyn Monitor) -> Result<Fix> {
         self.reset();
         for k in 0..track.len() {
+            monitor.advance(k as u64, track.len() as u64)?;
             let step = self.update(track.x()[k], track.y()[k], track.values()[k])?;
             if step.status != Status::Searching || k + 1 == track.len() {
                 let mut fix = step.fix(&*self.field);

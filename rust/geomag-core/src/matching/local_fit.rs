@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::field::Field;
 use crate::frame::displacement_m;
-use crate::lattice::{OffsetLattice, Pivot};
+use crate::lattice::{OffsetLattice, Pivot, centroid};
 use crate::matching::grid_search::GridSearch;
 use crate::matching::similarity::Criterion;
 use crate::track::Track;
@@ -40,10 +40,7 @@ impl LocalFit {
         let stretching = placements.iter().any(|p| p.1 != placements[0].1);
         let pivot = match search.pivot {
             Pivot::Newest => moved[moved.len() - 1],
-            Pivot::Centroid => {
-                let n = moved.len() as f64;
-                [moved.iter().map(|p| p[0]).sum::<f64>() / n, moved.iter().map(|p| p[1]).sum::<f64>() / n]
-            }
+            Pivot::Centroid => centroid(field.geographic(), moved.iter().copied()),
         };
         let mut rows: Vec<(Vec<f64>, f64, f64)> = Vec::with_capacity(moved.len());
         for (k, p) in moved.iter().enumerate() {

@@ -106,6 +106,15 @@ impl Placement {
     }
 }
 
+/// How the misfits of two places of a track are made comparable.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Judgement {
+    /// Whether a constant of each channel is taken out.
+    pub unbiased: bool,
+    /// Least samples that a channel must have on its map: a few that fit by chance must not beat the whole track.
+    pub min_samples: usize,
+}
+
 /// A track laid out on its channels. Displacements are metres east and north at each sample's own latitude; levers are
 /// metres from the newest point. A rotation in degrees of longitude and latitude would be none.
 #[derive(Debug)]
@@ -204,13 +213,13 @@ impl<'a> Scene<'a> {
     }
 
     /// Mean square of measured minus map value over the samples on the map, in units of each channel's own sigma where
-    /// there are several; `None` where fewer than `min_samples` samples are on the map.
-    pub fn misfit(&self, displacement: &dyn Fn(usize) -> [f64; 2], unbiased: bool, min_samples: usize) -> Option<f64> {
+    /// there are several; `None` where a channel has too few samples on its map.
+    pub fn misfit(&self, displacement: &dyn Fn(usize) -> [f64; 2], by: &Judgement) -> Option<f64> {
         let (mut total, mut weight_total) = (0.0, 0.0);
-        let mut seen = 0;
         for (c, channel) in self.channels.iter().enumerate() {
             let unit = if self.channels.len() > 1 { channel.sigma.filter(|s| *s > 0.0).unwrap_or(1.0) } else { 1.0 };
             let (mut w0, mut w1, mut w2) = (0.0, 0.0, 0.0);
+            let mut seen = 0;
             for k in 0..self.len() {
                 let (value, _) = self.sample(c, k, displacement(k), Interpolation::Bilinear);
                 let r = (channel.values[k] - value) / unit;
@@ -222,12 +231,15 @@ impl<'a> Scene<'a> {
                     w2 += w * r * r;
                 }
             }
+            if seen < by.min_samples {
+                return None;
+            }
             if w0 > 0.0 {
-                total += if unbiased { (w2 - w1 * w1 / w0).max(0.0) } else { w2 };
+                total += if by.unbiased { (w2 - w1 * w1 / w0).max(0.0) } else { w2 };
                 weight_total += w0;
             }
         }
-        (seen >= min_samples && weight_total > 0.0).then(|| total / weight_total)
+        (weight_total > 0.0).then(|| total / weight_total)
     }
 
     /// Points of the track moved by displacements, map units.

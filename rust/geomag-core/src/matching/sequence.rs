@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+use crate::monitor::{Monitor, Quiet};
 
 /// Delta modulation of a stream of values: a sample is chosen when the staircase lags it by another quantum.
 ///
@@ -129,6 +130,14 @@ pub fn chosen_by_codes(codes: &[bool]) -> Vec<usize> {
 /// [`Error::TooFewSamples`] under 3 values, [`Error::NotFinite`], [`Error::Invalid`] for a spacing that is not positive
 /// or a share outside (0, 1].
 pub fn energy_bandwidth(values: &[f64], spacing_m: f64, share: f64) -> Result<f64> {
+    energy_bandwidth_monitored(values, spacing_m, share, &Quiet)
+}
+
+/// [`energy_bandwidth`] that can be watched and stopped: its work grows with the square of the number of values.
+///
+/// # Errors
+/// As [`energy_bandwidth`], and [`Error::Interrupted`].
+pub fn energy_bandwidth_monitored(values: &[f64], spacing_m: f64, share: f64, monitor: &dyn Monitor) -> Result<f64> {
     let n = values.len();
     if n < 3 {
         return Err(Error::TooFewSamples { what: "energy_bandwidth".into(), needed: 3, got: n });
@@ -142,6 +151,7 @@ pub fn energy_bandwidth(values: &[f64], spacing_m: f64, share: f64) -> Result<f6
     let turn: Vec<(f64, f64)> = (0..n).map(|i| (std::f64::consts::TAU * i as f64 / n as f64).sin_cos()).collect();
     let energy: Vec<f64> = (1..=n / 2)
         .map(|f| {
+            monitor.advance(f as u64, (n / 2) as u64)?;
             let (mut re, mut im, mut at) = (0.0, 0.0, 0);
             for v in values {
                 let (sin, cos) = turn[at];
@@ -150,9 +160,9 @@ pub fn energy_bandwidth(values: &[f64], spacing_m: f64, share: f64) -> Result<f6
                 at = (at + f) % n;
             }
             // The Nyquist line of an even length stands alone; every other line has its mirror image.
-            (re * re + im * im) * if 2 * f == n { 1.0 } else { 2.0 }
+            Ok((re * re + im * im) * if 2 * f == n { 1.0 } else { 2.0 })
         })
-        .collect();
+        .collect::<Result<_>>()?;
     let total: f64 = energy.iter().sum();
     let scale = values.iter().fold(0.0_f64, |m, v| m.max((v - mean).abs()));
     let rounding = (values.iter().fold(0.0_f64, |m, v| m.max(v.abs())) * 8.0 * f64::EPSILON).max(f64::MIN_POSITIVE);
@@ -207,6 +217,19 @@ pub struct ChosenSequence {
 /// Arrays of unequal length, values or distances that are not finite, distances that run backwards, settings that are
 /// not positive, fewer than 3 samples.
 pub fn choose_sequence(along_m: &[f64], values: &[f64], rules: &SequenceRules) -> Result<ChosenSequence> {
+    choose_sequence_monitored(along_m, values, rules, &Quiet)
+}
+
+/// [`choose_sequence`] that can be watched and stopped.
+///
+/// # Errors
+/// As [`choose_sequence`], and [`Error::Interrupted`].
+pub fn choose_sequence_monitored(
+    along_m: &[f64],
+    values: &[f64],
+    rules: &SequenceRules,
+    monitor: &dyn Monitor,
+) -> Result<ChosenSequence> {
     let n = values.len();
     if along_m.len() != n {
         return Err(Error::shape("along_m", format!("({n},) as the values"), format!("({},)", along_m.len())));
@@ -230,7 +253,7 @@ pub fn choose_sequence(along_m: &[f64], values: &[f64], rules: &SequenceRules) -
         return Err(Error::invalid("along_m", "a track that moves", "the same distance throughout"));
     }
     let even = evenly(along_m, values);
-    let bandwidth = energy_bandwidth(&even, length / (n - 1) as f64, rules.energy_share)?;
+    let bandwidth = energy_bandwidth_monitored(&even, length / (n - 1) as f64, rules.energy_share, monitor)?;
     let greatest_gap_m = if bandwidth > 0.0 { 0.5 / bandwidth } else { f64::INFINITY };
     let least_gap = rules.min_cells * rules.cell_m;
     let mut thinned = vec![0];

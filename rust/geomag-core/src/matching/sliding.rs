@@ -14,6 +14,7 @@ use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
 use crate::matching::starts::Starts;
 use crate::matching::transform::Transform;
+use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
 
 /// A sample of the window with the sum of the estimates that were made of its displacement.
@@ -63,8 +64,8 @@ impl SlidingState {
     /// `1 / max(mean squared contour distance, floor_m^2)`. (The weights printed in the source are illegible.)
     ///
     /// # Errors
-    /// Options that [`ContourOptions::check`] refuses, a length shorter than the transform needs, a floor that is not
-    /// positive.
+    /// Options that [`ContourOptions::check`] refuses, a length shorter than the transform or `min_points` needs, a floor
+    /// that is not positive.
     pub fn new(length: usize, sigma: Option<f64>, floor_m: f64, options: ContourOptions) -> Result<Self> {
         options.check()?;
         require_positive("floor_m", floor_m)?;
@@ -78,6 +79,12 @@ impl SlidingState {
                 needed: least,
                 got: length,
             });
+        }
+        if let Some(min_points) = options.min_points
+            && min_points > length
+        {
+            let needed = format!("at most the {length} points of the window");
+            return Err(Error::invalid("min_points", needed, min_points));
         }
         Ok(Self {
             length,
@@ -112,11 +119,29 @@ impl SlidingState {
     }
 
     /// Takes a sample in, the oldest one leaving a full window, and matches the window, starting where the last window
-    /// ended (the first one, and one after a loss, where the options say). Until the window is full the status is `searching` and there is no position.
+    /// ended (the first one, and one after a loss or at the edge of a search, where the options say).
+    ///
+    /// Until the window is full the status is `searching`, and while its points leave the transform undetermined (a
+    /// vehicle at rest under any but a translation) `uninformative`; there is no position then.
     ///
     /// # Errors
     /// [`Error::NotFinite`] for a sample that is not finite; the window is as before.
     pub fn update(&mut self, map: &GridMap, x: f64, y: f64, value: f64) -> Result<Fix> {
+        self.update_monitored(map, x, y, value, &Quiet)
+    }
+
+    /// [`SlidingState::update`] that can be watched and stopped; once stopped, the sample has been taken all the same.
+    ///
+    /// # Errors
+    /// As [`SlidingState::update`], and [`Error::Interrupted`].
+    pub fn update_monitored(
+        &mut self,
+        map: &GridMap,
+        x: f64,
+        y: f64,
+        value: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Fix> {
         require_finite("sample [x, y, value]", &[x, y, value])?;
         if self.entries.len() == self.length
             && let Some(oldest) = self.entries.pop_front()
@@ -130,20 +155,24 @@ impl SlidingState {
         }
         let column = |get: &dyn Fn(&Entry) -> f64| self.entries.iter().map(get).collect::<Vec<f64>>();
         let track = Track::new(column(&|e| e.x), column(&|e| e.y), column(&|e| e.value), None)?;
-        self.match_window(map, &track)
+        self.match_window(map, &track, monitor)
     }
 
-    fn match_window(&mut self, map: &GridMap, track: &Track) -> Result<Fix> {
+    fn match_window(&mut self, map: &GridMap, track: &Track, monitor: &dyn Monitor) -> Result<Fix> {
         let channels = [Channel { map, values: track.values(), sigma: self.sigma }];
         let scene = Scene::new(&channels, track, None)?;
-        let matcher = Iccp::new(&scene, &self.options)?;
-        let starts = self.starts(map, track, &scene);
+        let matcher = match Iccp::new(&scene, &self.options) {
+            // A vehicle at rest, or straight ahead under an affine transform: the next samples may mend it.
+            Err(Error::RankDeficient { .. }) => return Ok(Fix::none(Status::Uninformative, track.len())),
+            other => other?,
+        };
+        let starts = self.starts(map, track, &scene, monitor)?;
         // A place that is already a minimum of the misfit, or the best of a lattice, has nothing to gain from contours.
         let known = self.last.is_some() || matches!(self.options.starts, Starts::Grid { .. });
         let outcomes: Vec<_> = if self.options.refine && known {
             Vec::new()
         } else {
-            starts.iter().map(|&start| matcher.run(start)).collect()
+            starts.iter().map(|&start| matcher.run(start, monitor)).collect::<Result<_>>()?
         };
         let in_reach = winner(&outcomes).filter(|&best| outcomes[best].end != End::OutOfReach);
         let (fix, transform, distance_squared) = if self.options.refine {
@@ -153,8 +182,14 @@ impl SlidingState {
                 .map(motion_of)
                 .collect();
             let iterations = in_reach.map_or(0, |best| outcomes[best].iterations);
-            let fix = answer(&scene, &self.options.effective_refinement(), &motions, iterations, None);
-            if fix.x.is_nan() {
+            let searched_m = match self.options.starts {
+                Starts::Grid { half_width_m, .. } if self.last.is_none() => Some(half_width_m),
+                _ => None,
+            };
+            let options = self.options.effective_refinement();
+            let fix = answer(&scene, &options, &motions, iterations, searched_m, monitor)?;
+            // From the edge of a search the next window would go on as if it had been found inside.
+            if fix.x.is_nan() || fix.status == Status::AtEdge {
                 self.last = None;
                 return Ok(fix);
             }
@@ -186,17 +221,15 @@ impl SlidingState {
 
 impl SlidingState {
     /// Where the window starts: where the last one ended, or, without one, where the options say.
-    fn starts(&self, map: &GridMap, track: &Track, scene: &Scene<'_>) -> Vec<Transform> {
+    fn starts(&self, map: &GridMap, track: &Track, scene: &Scene<'_>, monitor: &dyn Monitor) -> Result<Vec<Transform>> {
         let Some((t, newest)) = self.last else {
-            let least = ((self.options.refinement.min_overlap * track.len() as f64).ceil() as usize).max(1);
-            let unbiased = self.options.refinement.priors.bias_sigma.is_some();
-            let offsets = self.options.starts.offsets(scene, unbiased, least);
-            return offsets.into_iter().map(|shift| Transform { shift, ..Transform::IDENTITY }).collect();
+            let offsets = self.options.starts.offsets(scene, &self.options.judgement(track.len()), monitor)?;
+            return Ok(offsets.into_iter().map(|shift| Transform { shift, ..Transform::IDENTITY }).collect());
         };
         // The same motion, told about the point that is now the newest.
         let lever = displacement_m(map.geographic(), newest, track.newest());
         let moved = t.apply(lever);
-        vec![Transform { matrix: t.matrix, shift: [moved[0] - lever[0], moved[1] - lever[1]] }]
+        Ok(vec![Transform { matrix: t.matrix, shift: [moved[0] - lever[0], moved[1] - lever[1]] }])
     }
 }
 

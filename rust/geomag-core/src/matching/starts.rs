@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_finite, require_positive};
-use crate::matching::scene::Scene;
+use crate::lattice::MOST_CANDIDATES;
+use crate::matching::scene::{Judgement, Scene};
+use crate::monitor::Monitor;
 
 /// Greatest number of lattice candidates that a start may look at unless the caller says otherwise.
 pub const DEFAULT_MAX_CANDIDATES: u64 = 1_000_000;
@@ -25,7 +27,7 @@ pub enum Starts {
         step_m: f64,
         /// How many local minima to start from.
         keep: usize,
-        /// Greatest number of candidates; more is refused before any work.
+        /// Greatest number of candidates, up to [`MOST_CANDIDATES`]; more is refused before any work.
         max_candidates: u64,
     },
 }
@@ -56,14 +58,11 @@ impl Starts {
                     return Err(Error::invalid("starts to keep", "at least one", 0));
                 }
                 // Saturates far above any limit.
-                let side = 2 * (half_width_m / step_m).ceil() as u128 + 1;
+                let side = ((half_width_m / step_m).ceil() as u128).saturating_mul(2).saturating_add(1);
                 let needed = side.saturating_mul(side);
-                if needed > u128::from(*max_candidates) {
-                    return Err(Error::TooManyCandidates {
-                        what: "start lattice".into(),
-                        needed,
-                        limit: *max_candidates,
-                    });
+                let limit = (*max_candidates).min(MOST_CANDIDATES);
+                if needed > u128::from(limit) {
+                    return Err(Error::TooManyCandidates { what: "start lattice".into(), needed, limit });
                 }
                 Ok(())
             }
@@ -71,8 +70,8 @@ impl Starts {
     }
 
     /// The offsets to start from, metres, best first for a lattice; none where no candidate lies on the map.
-    pub(crate) fn offsets(&self, scene: &Scene<'_>, unbiased: bool, min_samples: usize) -> Vec<[f64; 2]> {
-        match self {
+    pub(crate) fn offsets(&self, scene: &Scene<'_>, by: &Judgement, monitor: &dyn Monitor) -> Result<Vec<[f64; 2]>> {
+        Ok(match self {
             Self::Indicated => vec![[0.0, 0.0]],
             Self::Offsets(offsets) => offsets.clone(),
             Self::Grid { half_width_m, step_m, keep, .. } => {
@@ -82,8 +81,12 @@ impl Starts {
                 let mut scores = vec![f64::INFINITY; side * side];
                 for row in 0..side {
                     for column in 0..side {
+                        // Half a millisecond or so of samples between two looks.
+                        if (row * side + column).is_multiple_of(1 + 65_536 / scene.len()) {
+                            monitor.advance((row * side + column) as u64, (side * side) as u64)?;
+                        }
                         let d = [at(column), at(row)];
-                        if let Some(m) = scene.misfit(&|_| d, unbiased, min_samples) {
+                        if let Some(m) = scene.misfit(&|_| d, by) {
                             scores[row * side + column] = m;
                         }
                     }
@@ -102,6 +105,6 @@ impl Starts {
                 minima.truncate(*keep);
                 minima.into_iter().map(|i| [at(i % side), at(i / side)]).collect()
             }
-        }
+        })
     }
 }

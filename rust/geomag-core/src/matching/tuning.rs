@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+use crate::error::{Error, Result, require_count, require_finite, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::frame::displacement_m;
 use crate::grid::GridMap;
@@ -18,6 +18,13 @@ use crate::matching::scene::Motion;
 use crate::matching::sequence::delta_modulation;
 use crate::monitor::Monitor;
 use crate::track::Track;
+
+/// Greatest number of settings (lengths by quanta) that can be searched.
+pub const MAX_SETTINGS: usize = 1_000_000;
+/// Greatest number of draws, and of particles and iterations of a swarm.
+pub const MAX_DRAWS: usize = 1_000_000;
+/// Greatest number of samples over all draws.
+pub const MAX_DRAWN_SAMPLES: usize = 1 << 28;
 
 /// How the INS error at the correction point is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -160,7 +167,7 @@ pub fn tune_sequence(
     method: &TuneMethod,
     monitor: &dyn Monitor,
 ) -> Result<Tuned> {
-    let bench = Bench::new(map, planned, options)?;
+    let bench = Bench::new(map, planned, options, monitor)?;
     match method {
         TuneMethod::Exhaustive => bench.exhaustive(monitor),
         TuneMethod::Bpso(swarm) => bench.bpso(swarm, monitor),
@@ -185,7 +192,7 @@ struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    fn new(map: &'a GridMap, planned: &'a Track, options: &'a TuneOptions) -> Result<Self> {
+    fn new(map: &'a GridMap, planned: &'a Track, options: &'a TuneOptions, monitor: &dyn Monitor) -> Result<Self> {
         options.matching.check()?;
         check(options)?;
         let [east, north] = map.metres_per_unit(planned.newest()[1]);
@@ -207,8 +214,23 @@ impl<'a> Bench<'a> {
             });
         }
         let max_length = options.max_length.unwrap_or(max_length).max(least);
-        let draws = (0..options.draws).map(|d| draw(map, planned, options, d as u64)).collect::<Result<Vec<_>>>()?;
-        let most = (max_length * options.matching.max_iterations) as f64 * options.cost_per_work;
+        let settings = (max_length - least + 1).saturating_mul(options.quanta.len());
+        if settings > MAX_SETTINGS {
+            let needed = format!("at most {MAX_SETTINGS} settings (lengths by quanta)");
+            return Err(Error::invalid("max_length and quanta", needed, settings));
+        }
+        let samples = options.draws.saturating_mul(planned.len()).saturating_mul(1 + options.quanta.len());
+        if samples > MAX_DRAWN_SAMPLES {
+            let needed = format!("at most {MAX_DRAWN_SAMPLES} samples over all draws and quanta");
+            return Err(Error::invalid("draws", needed, samples));
+        }
+        let draws = (0..options.draws).map(|d| {
+            // Nothing of the search itself is done yet.
+            monitor.advance(0, 1)?;
+            draw(map, planned, options, d as u64)
+        });
+        let draws = draws.collect::<Result<Vec<_>>>()?;
+        let most = max_length as f64 * options.matching.max_iterations as f64 * options.cost_per_work;
         Ok(Self {
             map,
             planned,
@@ -288,7 +310,11 @@ impl<'a> Bench<'a> {
         let settings = all
             .par_iter()
             .map(|&(length, quantum)| {
-                let trials = self.draws.iter().map(|d| self.trial(d, length, quantum)).collect::<Result<Vec<_>>>()?;
+                let trials = self.draws.iter().map(|d| {
+                    monitor.advance(done.load(std::sync::atomic::Ordering::Relaxed), total)?;
+                    self.trial(d, length, quantum)
+                });
+                let trials = trials.collect::<Result<Vec<_>>>()?;
                 monitor.advance(done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1, total)?;
                 Ok(self.setting(length, quantum, &trials))
             })
@@ -304,7 +330,11 @@ impl<'a> Bench<'a> {
             if let Some(setting) = seen.get(&(length, quantum)) {
                 return Ok(setting.objective);
             }
-            let trials = self.draws.par_iter().map(|d| self.trial(d, length, quantum)).collect::<Result<Vec<_>>>()?;
+            let trials = self.draws.par_iter().map(|d| {
+                monitor.advance(iteration as u64, total)?;
+                self.trial(d, length, quantum)
+            });
+            let trials = trials.collect::<Result<Vec<_>>>()?;
             let setting = self.setting(length, quantum, &trials);
             seen.insert((length, quantum), setting);
             monitor.advance(iteration as u64, total)?;
@@ -339,9 +369,7 @@ fn check(options: &TuneOptions) -> Result<()> {
     {
         return Err(Error::invalid("max_length", format!("at least min_length {}", options.min_length), max));
     }
-    if options.draws == 0 {
-        return Err(Error::invalid("draws", "at least 1", 0));
-    }
+    require_count("draws", options.draws, MAX_DRAWS)?;
     require_not_negative("weights[0]", options.weights[0])?;
     require_not_negative("weights[1]", options.weights[1])?;
     if options.weights == [0.0; 2] {
@@ -454,9 +482,8 @@ pub fn bpso(
     seed: u64,
     objective: &mut dyn FnMut(usize, usize, usize) -> Result<f64>,
 ) -> Result<BpsoResult> {
-    if options.particles == 0 || options.iterations == 0 {
-        return Err(Error::invalid("swarm", "at least one particle and one iteration", 0));
-    }
+    require_count("particles", options.particles, MAX_DRAWS)?;
+    require_count("iterations", options.iterations, MAX_DRAWS)?;
     require_positive("max_velocity", options.max_velocity)?;
     if space.quanta == 0 || space.lengths.is_empty() {
         return Err(Error::invalid("setting space", "at least one length and one quantum", "none"));

@@ -149,7 +149,7 @@ impl InsFeedback {
     /// indicated, metres east-north) and its covariance.
     ///
     /// # Errors
-    /// [`Error::Invalid`] where time does not advance, [`Error::NotFinite`], [`Error::NotPositiveDefinite`] for a fix
+    /// [`Error::Invalid`] where time does not advance or the covariance is not symmetric, [`Error::NotFinite`], [`Error::NotPositiveDefinite`] for a fix
     /// whose covariance is not. The filter is then as before.
     #[allow(clippy::type_complexity)] // offset and covariance
     pub fn step(
@@ -162,7 +162,7 @@ impl InsFeedback {
         require_finite("step [time_s, x, y]", &[time_s, x, y])?;
         if let Some((offset, covariance)) = &fix {
             require_finite("fix offset_m", offset)?;
-            require_finite("fix covariance_m2", covariance.as_flattened())?;
+            crate::kalman::symmetric("fix covariance_m2", 2, covariance.as_flattened())?;
             require_positive("fix covariance_m2[0][0]", covariance[0][0])?;
             let det = covariance[0][0] * covariance[1][1] - covariance[0][1] * covariance[1][0];
             if det <= 0.0 {

@@ -222,22 +222,19 @@ impl Sensing {
         }
     }
 
-    /// Standard deviation of the stored field itself at a place, for one number of the reading; zero where nothing is
-    /// known about it.
-    pub fn sigma(&self, x: f64, y: f64, number: usize) -> f64 {
+    /// Standard deviation of the stored field itself at a place, for one number of the reading; zero for a field that says
+    /// nothing of its errors, `None` where a map that does says nothing here ([`Field::known_sigma`]).
+    pub fn sigma(&self, x: f64, y: f64, number: usize) -> Option<f64> {
         match &self.source {
-            Source::Map { field, .. } => {
-                let sigma = field.sigma(x, y);
-                if sigma.is_nan() { 0.0 } else { sigma }
-            }
-            Source::Harmonic { .. } => match self.sigma.get(number) {
+            Source::Map { field, .. } => field.known_sigma(x, y),
+            Source::Harmonic { .. } => Some(match self.sigma.get(number) {
                 None => 0.0,
                 Some(map) => {
                     let sigma = map.sample(x, y, Interpolation::Bilinear);
                     // Beyond the nodes the model is no better than at its worst.
                     if sigma.is_nan() { self.largest_sigma[number] } else { sigma }
                 }
-            },
+            }),
         }
     }
 

@@ -7,6 +7,7 @@ use crate::error::{Error, Result, require_finite, require_not_negative, require_
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
 use crate::grid::{Axis, GridMap, GridValues};
+use crate::monitor::{Monitor, Quiet};
 use crate::synthetic::Random;
 
 /// Magnetic constant over four pi, in nT m^3 / (A m^2).
@@ -288,6 +289,14 @@ impl SyntheticField {
     /// # Errors
     /// [`Error::TooManyCandidates`] over 2^28 nodes, and what [`GridMap`] refuses.
     pub fn grid(&self, x: Axis, y: Axis) -> Result<GridMap> {
+        self.grid_monitored(x, y, &Quiet)
+    }
+
+    /// [`SyntheticField::grid`] that can be watched and stopped.
+    ///
+    /// # Errors
+    /// As [`SyntheticField::grid`], and [`Error::Interrupted`].
+    pub fn grid_monitored(&self, x: Axis, y: Axis, monitor: &dyn Monitor) -> Result<GridMap> {
         const MAX_NODES: u64 = 1 << 28;
         let needed = x.len() as u128 * y.len() as u128;
         if needed > u128::from(MAX_NODES) {
@@ -295,14 +304,19 @@ impl SyntheticField {
         }
         let (columns, rows) = (x.len(), y.len());
         let mut values = Vec::with_capacity(columns * rows);
+        // A wave costs a row a tenth of what a dipole does.
+        let (dipole_rows, wave_rows) = ((10 * self.dipoles.len() + 1) as u64, self.waves.len() as u64);
+        let total = (rows as u64).saturating_mul(dipole_rows + wave_rows);
         for row in 0..rows {
+            monitor.advance(row as u64 * dipole_rows, total)?;
             for column in 0..columns {
                 let [east, north] = self.local(x.at(column), y.at(row));
                 values.push(self.smooth_part(east, north) + self.dipole_part(east, north).0);
             }
         }
         // cos(a + b) = cos a cos b - sin a sin b makes each wave a sum of two outer products: no trigonometry a node.
-        for wave in &self.waves {
+        for (number, wave) in self.waves.iter().enumerate() {
+            monitor.advance(rows as u64 * (dipole_rows + number as u64), total)?;
             let along_x: Vec<(f64, f64)> = (0..columns)
                 .map(|c| {
                     let (sin, cos) = sin_cos(wave.k_rad_m[0] * self.local(x.at(c), y.at(0))[0] + wave.phase_rad);
@@ -324,15 +338,24 @@ impl SyntheticField {
     /// # Errors
     /// As [`SyntheticField::grid`], and [`Error::Invalid`] for a step that is not positive or exceeds the extent.
     pub fn grid_by_step(&self, step: f64) -> Result<GridMap> {
+        let [x, y] = self.axes_by_step(step)?;
+        self.grid(x, y)
+    }
+
+    /// Axes `[x, y]` over the whole extent with nodes every `step` map units.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a step that is not positive or exceeds the extent.
+    pub fn axes_by_step(&self, step: f64) -> Result<[Axis; 2]> {
         require_positive("map step", step)?;
         let axis = |low: f64, high: f64| {
             let cells = ((high - low) / step * (1.0 + 1e-12)).floor();
             if cells < 1.0 {
                 return Err(Error::invalid("map step", format!("at most the extent, {}", high - low), step));
             }
-            Axis::new(low, step, cells as usize + 1)
+            Axis::new(low, step, (cells as usize).saturating_add(1))
         };
-        self.grid(axis(self.extent[0], self.extent[2])?, axis(self.extent[1], self.extent[3])?)
+        Ok([axis(self.extent[0], self.extent[2])?, axis(self.extent[1], self.extent[3])?])
     }
 }
 

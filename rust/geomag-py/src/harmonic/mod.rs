@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::harmonic::{
-    HarmonicMap, Observations, Positions, Quantity, RectangularHarmonicModel, Region, leave_out, select, terms,
+    HarmonicMap, MAX_ORDER, Observations, Positions, Quantity, RectangularHarmonicModel, Region, leave_out, select,
+    terms,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -463,9 +464,12 @@ impl PyHarmonicModel {
 
     /// `(t, r, along x, along y)` of every coefficient after A, B, C.
     #[staticmethod]
-    fn terms(order: usize) -> Vec<(usize, usize, &'static str, &'static str)> {
+    fn terms(order: usize) -> PyRes<Vec<(usize, usize, &'static str, &'static str)>> {
+        if order > MAX_ORDER {
+            return Err(invalid("order", &format!("at most {MAX_ORDER}"), order));
+        }
         let name = |sine: bool| if sine { "sin" } else { "cos" };
-        terms(order.min(1000)).map(|t| (t.t, t.r, name(t.sine_x), name(t.sine_y))).collect()
+        Ok(terms(order).map(|t| (t.t, t.r, name(t.sine_x), name(t.sine_y))).collect())
     }
 
     /// Field at points in the frame (metres, any shape that broadcasts): that shape and (3,) for north, east, down, in the model's

@@ -8,6 +8,7 @@ use crate::fix::{Fix, Status};
 use crate::matching::closest::closest_in_cells;
 use crate::matching::scene::{Motion, Scene};
 use crate::matching::transform::{Transform, TransformKind};
+use crate::monitor::Monitor;
 
 /// Spread of a track across its own line over the spread along it, under which an affine transform means nothing.
 const STRAIGHT: f64 = 5e-3;
@@ -108,7 +109,7 @@ impl<'a> Iccp<'a> {
     }
 
     /// Iterates from a start.
-    pub fn run(&self, start: Transform) -> Outcome {
+    pub fn run(&self, start: Transform, monitor: &dyn Monitor) -> Result<Outcome> {
         let mut pairs = Pairs::with_capacity(self.scene.len() * self.scene.channels.len());
         let mut hints = self.no_hints();
         let mut now = start;
@@ -119,6 +120,7 @@ impl<'a> Iccp<'a> {
         let mut end = End::IterationLimit;
         let (mut reached, mut distance_squared) = (0, f64::NAN);
         while iterations < self.options.max_iterations {
+            monitor.advance(iterations as u64, self.options.max_iterations as u64)?;
             iterations += 1;
             let look = match self.look(&now, &mut pairs, &mut hints) {
                 Ok(look) => look,
@@ -154,8 +156,8 @@ impl<'a> Iccp<'a> {
                 now = look.next;
             }
         }
-        let misfit = self.scene.misfit(&|k| self.displacement(&now, k), false, 1);
-        Outcome { transform: now, end, iterations, reached, distance_squared, misfit }
+        let misfit = self.scene.misfit(&|k| self.displacement(&now, k), &self.options.judgement(self.scene.len()));
+        Ok(Outcome { transform: now, end, iterations, reached, distance_squared, misfit })
     }
 
     fn no_hints(&self) -> Vec<Hint> {

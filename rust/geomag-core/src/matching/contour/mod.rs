@@ -18,6 +18,7 @@ use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
 use crate::matching::starts::Starts;
 use crate::matching::transform::Transform;
+use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
 use iccp::Outcome;
 
@@ -72,29 +73,43 @@ pub fn match_channels(
     weights: Option<&[f64]>,
     options: &ContourOptions,
 ) -> Result<Fix> {
+    match_channels_monitored(channels, track, weights, options, &Quiet)
+}
+
+/// [`match_channels`] that can be watched and stopped.
+///
+/// # Errors
+/// As [`match_channels`], and [`Error::Interrupted`](crate::error::Error::Interrupted).
+pub fn match_channels_monitored(
+    channels: &[Channel<'_>],
+    track: &Track,
+    weights: Option<&[f64]>,
+    options: &ContourOptions,
+    monitor: &dyn Monitor,
+) -> Result<Fix> {
     options.check()?;
     let scene = Scene::new(channels, track, weights)?;
     let matcher = Iccp::new(&scene, options)?;
     let n = scene.len();
-    let min_on_map = ((options.refinement.min_overlap * n as f64).ceil() as usize).max(1);
-    let unbiased = options.refinement.priors.bias_sigma.is_some();
-    let starts = options.starts.offsets(&scene, unbiased, min_on_map);
+    let starts = options.starts.offsets(&scene, &options.judgement(n), monitor)?;
     if options.refine
         && let Starts::Grid { half_width_m, .. } = options.starts
     {
         // After a search of the lattice the contours have nothing to add: the misfit itself is minimised from there.
         let motions: Vec<Motion> = starts.iter().map(|&o| Motion::offset(o)).collect();
-        return Ok(answer(&scene, &options.effective_refinement(), &motions, 0, Some(half_width_m)));
+        return answer(&scene, &options.effective_refinement(), &motions, 0, Some(half_width_m), monitor);
     }
-    let outcomes: Vec<Outcome> =
-        starts.iter().map(|&start| matcher.run(Transform { shift: start, ..Transform::IDENTITY })).collect();
+    let outcomes = starts
+        .iter()
+        .map(|&start| matcher.run(Transform { shift: start, ..Transform::IDENTITY }, monitor))
+        .collect::<Result<Vec<Outcome>>>()?;
     let Some(best) = winner(&outcomes) else {
         return Ok(Fix::none(Status::Lost, n));
     };
     if options.refine {
         let motions: Vec<Motion> =
             outcomes.iter().filter(|o| o.end != End::OutOfReach).map(|o| motion_of(&o.transform)).collect();
-        return Ok(answer(&scene, &options.effective_refinement(), &motions, outcomes[best].iterations, None));
+        return answer(&scene, &options.effective_refinement(), &motions, outcomes[best].iterations, None, monitor);
     }
     Ok(matcher.fix(&outcomes, best))
 }

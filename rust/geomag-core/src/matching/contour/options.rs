@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::matching::closest::check_radius;
 use crate::matching::refine::RefineOptions;
+use crate::matching::scene::Judgement;
 use crate::matching::starts::Starts;
 use crate::matching::transform::TransformKind;
 
@@ -65,6 +66,14 @@ impl ContourOptions {
             out.priors.scale_sigma.get_or_insert(f64::INFINITY);
         }
         out
+    }
+
+    /// How places of a track of `n` samples are judged against one another.
+    pub(crate) fn judgement(&self, n: usize) -> Judgement {
+        Judgement {
+            unbiased: self.refinement.priors.bias_sigma.is_some(),
+            min_samples: ((self.refinement.min_overlap * n as f64).ceil() as usize).max(1),
+        }
     }
 
     /// Refuses settings that cannot be used.

@@ -6,6 +6,7 @@ use super::options::RefineOptions;
 use crate::field::Field;
 use crate::grid::MapSigma;
 use crate::matching::scene::{Motion, Priors, Scene};
+use crate::monitor::Monitor;
 
 /// One minimum of the misfit.
 #[derive(Debug, Clone)]
@@ -113,6 +114,7 @@ impl Whitening {
 pub(super) struct Refiner<'a> {
     pub scene: &'a Scene<'a>,
     pub options: &'a RefineOptions,
+    pub monitor: &'a dyn Monitor,
     parameters: Parameters,
 }
 
@@ -124,9 +126,9 @@ struct Linearised {
 }
 
 impl<'a> Refiner<'a> {
-    pub fn new(scene: &'a Scene<'a>, options: &'a RefineOptions) -> Self {
+    pub fn new(scene: &'a Scene<'a>, options: &'a RefineOptions, monitor: &'a dyn Monitor) -> Self {
         let parameters = Parameters::new(&options.priors, scene.channels.len());
-        Self { scene, options, parameters }
+        Self { scene, options, monitor, parameters }
     }
 
     /// The error model at a start; `None` where too little of the track lies on the maps.
@@ -142,15 +144,11 @@ impl<'a> Refiner<'a> {
                 if value.is_nan() || self.scene.weight(k) == 0.0 {
                     continue;
                 }
+                let [x, y] = self.scene.track.point(k);
+                let [east, north] = channel.map.metres_per_unit(y);
+                let Some(sigma) = channel.map.known_sigma(x + d[0] / east, y + d[1] / north) else { continue };
                 used.push(k);
-                map_sigma.push(if channel.map.map_sigma().is_some() {
-                    let [x, y] = self.scene.track.point(k);
-                    let [east, north] = channel.map.metres_per_unit(y);
-                    let s = channel.map.sigma(x + d[0] / east, y + d[1] / north);
-                    if s.is_nan() { 0.0 } else { s }
-                } else {
-                    0.0
-                });
+                map_sigma.push(sigma);
             }
             if (used.len() as f64) < self.options.min_overlap * n as f64 || used.is_empty() {
                 return None;

@@ -1,6 +1,7 @@
 //! The minima of several starts, under the error model that explains the residuals best.
 
 use super::descent::{Minimum, Refiner};
+use crate::error::Result;
 use crate::matching::scene::Motion;
 
 /// Multiples of the median sample spacing that are tried as the correlation distance of the map's error.
@@ -8,12 +9,13 @@ const CORRELATION_TRIALS: [f64; 7] = [0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 
 impl Refiner<'_> {
     /// Distinct minima, the one of greatest mass first.
-    pub fn minima(&self, noise: &[f64], starts: &[Motion]) -> Vec<Minimum> {
+    pub fn minima(&self, noise: &[f64], starts: &[Motion]) -> Result<Vec<Minimum>> {
         let trials = self.correlation_trials();
         let mut best: Vec<Minimum> = Vec::new();
         for correlation in trials {
             let mut found: Vec<Minimum> = Vec::new();
             for start in starts {
+                self.monitor.advance(0, 1)?;
                 if let Some(minimum) = self.run(start, noise, correlation)
                     && !found.iter().any(|m| same_place(m, &minimum))
                 {
@@ -29,7 +31,7 @@ impl Refiner<'_> {
                 best = found;
             }
         }
-        best
+        Ok(best)
     }
 
     fn correlation_trials(&self) -> Vec<f64> {
@@ -48,7 +50,7 @@ impl Refiner<'_> {
     }
 
     /// Noise variances from the residuals of the best of the starts, refined twice; for channels that state none.
-    pub fn estimate_noise(&self, noise: &mut [f64], starts: &[Motion]) {
+    pub fn estimate_noise(&self, noise: &mut [f64], starts: &[Motion]) -> Result<()> {
         let unknown: Vec<bool> = noise.iter().map(|v| v.is_nan()).collect();
         let squares = |motion: &Motion, biases: &[f64], c: usize| {
             let r: Vec<f64> = (0..self.scene.len())
@@ -69,6 +71,7 @@ impl Refiner<'_> {
             }
         }
         for _ in 0..2 {
+            self.monitor.advance(0, 1)?;
             let best =
                 starts.iter().filter_map(|s| self.run(s, noise, 0.0)).max_by(|a, b| a.log_mass.total_cmp(&b.log_mass));
             if let Some(best) = best {
@@ -79,6 +82,7 @@ impl Refiner<'_> {
                 }
             }
         }
+        Ok(())
     }
 }
 

@@ -13,8 +13,10 @@ mod options;
 pub use descent::Minimum;
 pub use options::RefineOptions;
 
+use crate::error::Result;
 use crate::fix::{Fix, Status};
 use crate::matching::scene::{Motion, Scene};
+use crate::monitor::Monitor;
 use chi_square::chi_square_survival;
 use descent::Refiner;
 
@@ -30,24 +32,25 @@ pub(crate) fn answer(
     starts: &[Motion],
     before: usize,
     searched_m: Option<f64>,
-) -> Fix {
+    monitor: &dyn Monitor,
+) -> Result<Fix> {
     let n = scene.len();
-    let refiner = Refiner::new(scene, options);
+    let refiner = Refiner::new(scene, options, monitor);
     let mut noise: Vec<f64> = scene.channels.iter().map(|c| c.sigma.map_or(f64::NAN, |s| s * s)).collect();
     let known = noise.iter().all(|v| !v.is_nan());
     if !known {
-        refiner.estimate_noise(&mut noise, starts);
+        refiner.estimate_noise(&mut noise, starts)?;
     }
     // A sigma of zero would make the normal matrix infinite: rounding of the map's own values is the floor.
     for (variance, channel) in noise.iter_mut().zip(scene.channels) {
         let size = channel.values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         *variance = variance.max((size * f64::from(f32::EPSILON)).powi(2)).max(f64::MIN_POSITIVE.sqrt());
     }
-    let minima = refiner.minima(&noise, starts);
+    let minima = refiner.minima(&noise, starts)?;
     let Some(best) = minima.first() else {
         // Equations without a solution leave a direction open; no equations at all leave everything.
         let placed = starts.iter().any(|s| refiner.whitening(s, &noise, 0.0).is_some());
-        return Fix::none(if placed { Status::Uninformative } else { Status::Lost }, n);
+        return Ok(Fix::none(if placed { Status::Uninformative } else { Status::Lost }, n));
     };
     let masses: Vec<f64> = minima.iter().map(|m| (m.log_mass - best.log_mass).exp()).collect();
     let total: f64 = masses.iter().sum();
@@ -81,7 +84,7 @@ pub(crate) fn answer(
         Status::Fixed
     };
     let displacements: Vec<[f64; 2]> = scene.levers.iter().map(|&l| best.motion.displacement(l)).collect();
-    Fix {
+    Ok(Fix {
         heading_deg: best.motion.heading_rad.to_degrees(),
         scale: 1.0 + best.motion.stretch,
         bias: options.priors.bias_sigma.map(|_| best.biases[0]),
@@ -94,7 +97,7 @@ pub(crate) fn answer(
         iterations: before + best.iterations,
         track: scene.moved(&displacements),
         ..Fix::at_point(scene.channels[0].map, scene.track.newest(), scene.newest_offset(best.motion.offset_m), status)
-    }
+    })
 }
 
 /// Probability that the position of a minimum lies further than `tolerance` metres from that of the best one: the mass

@@ -1,6 +1,6 @@
 //! The filter behind the navigator: its state vector, motion, measurement and noise.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::{FieldNavigator, Method, NavigatorOptions, Outcome};
@@ -106,7 +106,7 @@ impl FieldNavigator {
         if !self.sensing.covers(here[0], here[1]) {
             return Ok((Outcome::OffField, None));
         }
-        let noise = self.reading_noise(here, kept);
+        let Some(noise) = self.reading_noise(here, kept) else { return Ok((Outcome::OffField, None)) };
         let gate = self.gates.get(kept.len() - 1).copied();
         let z: Vec<f64> = kept.iter().map(|&k| reading[k]).collect();
         let (sensing, layout, anchor) = (&self.sensing, self.state.layout, self.state.anchor);
@@ -180,15 +180,17 @@ impl FieldNavigator {
         noise
     }
 
-    /// Factor of the noise of the numbers that are kept: the sensor's and the field's own.
-    pub(super) fn reading_noise(&self, place: [f64; 2], kept: &[usize]) -> DMatrix<f64> {
+    /// Factor of the noise of the numbers that are kept: the sensor's and the field's own; `None` where the latter is not
+    /// known.
+    pub(super) fn reading_noise(&self, place: [f64; 2], kept: &[usize]) -> Option<DMatrix<f64>> {
         let o = &self.state.options;
         let sigma = |k: usize| {
             let sensor = if o.reading_sigma.len() == 1 { o.reading_sigma[0] } else { o.reading_sigma[k] };
-            let field = if o.field_sigma { self.sensing.sigma(place[0], place[1], k) } else { 0.0 };
-            sensor.hypot(field)
+            let field = if o.field_sigma { self.sensing.sigma(place[0], place[1], k)? } else { 0.0 };
+            Some(sensor.hypot(field))
         };
-        DMatrix::from_fn(kept.len(), kept.len(), |i, j| if i == j { sigma(kept[i]) } else { 0.0 })
+        let sigmas = kept.iter().map(|&k| sigma(k)).collect::<Option<Vec<f64>>>()?;
+        Some(DMatrix::from_diagonal(&DVector::from_vec(sigmas)))
     }
 
     /// Row-major Jacobian of the motion.

@@ -334,7 +334,7 @@ impl FieldNavigator {
     /// unbiased filter with these noises can beat, square metres, east-north.
     ///
     /// The recursion of the posterior bound (Tichavsky, Muravchik & Nehorai 1998) for this motion: the extended filter's
-    /// covariance with gradients at the truth. Starts from the present covariance; NaN in the field counts as no reading.
+    /// covariance with gradients at the truth. Starts from the present covariance; NaN in the field or its sigma counts as no reading.
     ///
     /// # Errors
     /// As [`FieldNavigator::step`].
@@ -351,9 +351,10 @@ impl FieldNavigator {
             let mean = filter.estimate().mean().to_vec();
             filter.predict(&mean, &jacobian, (&q * q.transpose()).as_slice())?;
             let expected = self.sensing.read_with_gradient(x, y);
-            if expected.iter().all(|e| e.0.is_finite()) {
+            if expected.iter().all(|e| e.0.is_finite())
+                && let Some(noise) = self.reading_noise([x, y], &numbers)
+            {
                 let h = self.measurement_jacobian(&expected, &numbers);
-                let noise = self.reading_noise([x, y], &numbers);
                 let zero = vec![0.0; numbers.len()];
                 filter.update(&zero, &zero, &h, (&noise * noise.transpose()).as_slice(), None)?;
             }
