@@ -268,3 +268,47 @@ def test_magnetic_reduction_is_the_main_field():
     east, north, up = ppigrf.igrf(lon, lat, 1.0, when)
     expected = -np.sqrt(east**2 + north**2 + up**2).ravel()
     np.testing.assert_allclose(MagneticReduction(when, 1000.0).correction(lon, lat, None), expected)
+
+
+def waves():
+    x = np.arange(60.0)
+    return geomag.GridMap(90 * np.sin(x / 4)[None, :] * np.cos(x / 5)[:, None], x, x)
+
+
+def along(grid, dx=0.0):
+    k = np.arange(20.0)
+    return geomag.Track(18.3 + dx + k, 25.6 + 0.7 * k, grid.sample(20.3 + k, 22.6 + 0.7 * k))
+
+
+@pytest.mark.parametrize("options", [{}, {"transform": "translation"}, {"radius_m": 20.0}])
+def test_a_track_off_the_map_is_lost(options):
+    grid = waves()
+    for dx in (80.0, 1e6):
+        fix = geomag.match_contour(grid, along(grid, dx), **options)
+        assert fix.status == "lost"
+        assert np.isnan(fix.x)
+    assert geomag.match_contour(grid, along(grid), starts=[[1e9, 0.0]], **options).status == "lost"
+
+
+def test_no_place_off_the_map_is_a_fix():
+    grid = waves()
+    for dx in np.arange(20.0, 45.0, 2.0):
+        fix = geomag.match_contour(grid, along(grid, dx))
+        assert not fix.ok or np.isfinite(grid.sample(fix.x, fix.y))
+
+
+def test_the_newest_sample_of_a_window_must_have_been_used():
+    grid = waves()
+    window = geomag.SlidingContour(grid, length=8, transform="translation", radius_m=6.0)
+    track = along(grid)
+    for k in range(12):
+        fix = window.update(track.x[k], track.y[k], track.values[k])
+    assert fix.ok
+    assert not window.update(1e7, 0.0, 0.0).ok
+
+
+def test_contours_that_only_just_determine_the_transform_are_no_fix():
+    grid = waves()
+    track = along(grid)
+    assert geomag.match_contour(grid, track[:1], transform="translation").status == "uninformative"
+    assert geomag.match_contour(grid, track[:2]).status == "uninformative"

@@ -200,7 +200,12 @@ impl SlidingState {
             let distance_squared = matcher.distance_squared(&refined).unwrap_or(spread);
             (fix, refined, distance_squared)
         } else if let Some(best) = in_reach {
-            (matcher.fix(&outcomes, best), outcomes[best].transform, outcomes[best].distance_squared)
+            let fix = matcher.fix(&outcomes, best);
+            if fix.x.is_nan() {
+                self.last = None;
+                return Ok(fix);
+            }
+            (fix, outcomes[best].transform, outcomes[best].distance_squared)
         } else {
             // Nothing to go on from: the next window starts anew.
             self.last = None;

@@ -36,6 +36,16 @@ impl TransformKind {
         }
     }
 
+    /// How many numbers it is free to choose.
+    pub const fn parameters(self) -> usize {
+        match self {
+            Self::Translation => 2,
+            Self::Rigid => 3,
+            Self::Similarity => 4,
+            Self::Affine => 6,
+        }
+    }
+
     /// The least number of points that determine it.
     pub const fn min_points(self) -> usize {
         match self {

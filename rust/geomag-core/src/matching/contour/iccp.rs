@@ -5,6 +5,7 @@ use super::constrained::Pairs;
 use super::options::ContourOptions;
 use crate::error::{Error, Result, require_positive};
 use crate::fix::{Fix, Status};
+use crate::grid::Interpolation;
 use crate::matching::closest::closest_in_cells;
 use crate::matching::scene::{Motion, Scene};
 use crate::matching::transform::{Transform, TransformKind};
@@ -119,6 +120,20 @@ impl<'a> Iccp<'a> {
         let mut iterations = 0;
         let mut end = End::IterationLimit;
         let (mut reached, mut distance_squared) = (0, f64::NAN);
+        // Without a radius the whole map is in reach of any place: a track off the map would be drawn onto it from anywhere.
+        if self.options.radius_m.is_infinite() {
+            reached = (0..self.scene.len()).filter(|&k| self.on_map(&now, k)).count();
+            if reached < self.min_points {
+                return Ok(Outcome {
+                    transform: now,
+                    end: End::OutOfReach,
+                    iterations,
+                    reached,
+                    distance_squared,
+                    misfit: None,
+                });
+            }
+        }
         while iterations < self.options.max_iterations {
             monitor.advance(iterations as u64, self.options.max_iterations as u64)?;
             iterations += 1;
@@ -176,6 +191,19 @@ impl<'a> Iccp<'a> {
         let lever = self.scene.levers[k];
         let [e, n] = t.apply(lever);
         [e - lever[0], n - lever[1]]
+    }
+
+    /// Whether a channel knows the place that a sample is moved to.
+    fn on_map(&self, t: &Transform, k: usize) -> bool {
+        let moved = self.displacement(t, k);
+        let value = |c: usize| self.scene.sample(c, k, moved, Interpolation::Bilinear).0;
+        (0..self.scene.channels.len()).any(|c| value(c).is_finite())
+    }
+
+    /// Whether the contours in reach are no more than it takes to determine the transform, so that nothing tells whether they fit.
+    fn undetermined(&self, reached: usize) -> bool {
+        let held = self.options.stiffness > 0.0 || self.options.refinement.priors.bound_motion();
+        !held && reached * self.scene.channels.len() <= self.options.transform.parameters()
     }
 
     fn greatest_move(&self, from: &Transform, to: &Transform) -> f64 {
@@ -276,13 +304,18 @@ impl<'a> Iccp<'a> {
     pub(crate) fn fix(&self, outcomes: &[Outcome], best: usize) -> Fix {
         let outcome = &outcomes[best];
         let n = self.scene.len();
-        if outcome.end == End::OutOfReach {
-            return Fix { iterations: outcome.iterations, ..Fix::none(Status::Lost, outcome.reached) };
+        let none = |status| Fix { iterations: outcome.iterations, ..Fix::none(status, outcome.reached) };
+        if outcome.end == End::OutOfReach || outcome.misfit.is_none() {
+            return none(Status::Lost);
+        }
+        if !self.on_map(&outcome.transform, n - 1) {
+            return none(Status::AtEdge);
         }
         // Further than contours were looked for from the indicated point: the track has run away along its contours.
         let run_away = outcome.transform.shift[0].hypot(outcome.transform.shift[1]) > self.options.radius_m;
         let status = match outcome.end {
             End::Converged if run_away => Status::AtEdge,
+            End::Converged if self.undetermined(outcome.reached) => Status::Uninformative,
             End::Converged => Status::Fixed,
             End::IterationLimit | End::OutOfReach => Status::NotConverged,
         };
