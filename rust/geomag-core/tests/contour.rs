@@ -491,7 +491,7 @@ fn a_sliding_window_says_that_its_search_was_too_narrow() {
         assert_eq!(fix.status, Status::AtEdge, "{fix:?}");
     }
     let fixes = last(2500.0);
-    assert!(fixes.iter().all(|f| f.ok()) && (fixes[2].x - end[0]).abs() < 100.0, "{fixes:?}");
+    assert!(fixes.iter().all(geomag_core::fix::Fix::ok) && (fixes[2].x - end[0]).abs() < 100.0, "{fixes:?}");
 }
 
 #[test]
