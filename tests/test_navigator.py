@@ -216,7 +216,9 @@ def test_a_reading_where_the_error_of_the_map_is_unknown_is_not_taken():
     grid = geomag.GridMap(values, axis, axis, sigma=sigma)
 
     def step(x, **options):
-        nav = geomag.FieldNavigator(grid, start=(x, 2000.0), covariance_m2=100.0, reading_sigma=1.0, gate=None, **options)
+        nav = geomag.FieldNavigator(
+            grid, start=(x, 2000.0), covariance_m2=100.0, reading_sigma=1.0, gate=None, **options
+        )
         return nav.step(1.0, 1.0, 90.0, 10.0).outcome
 
     assert step(1000.0) == "updated"
