@@ -47,6 +47,10 @@ def long_calls(grid):
         "synthetic field at points": lambda: (
             Crust(waves=5000, dipoles=5000).draw((0, 0, 1e6, 1e6), seed=1).sample(np.linspace(0, 1e6, 10**6), 5e5)
         ),
+        "posterior": lambda: geomag.match_posterior(grid, flown(grid, 300), half_width=3000.0, step=4.0, sigma=1.0),
+        "prediction": lambda: geomag.predict_many(
+            grid, [flown(grid, 40, (90.0, 60.0))], half_width=1000.0, sigma=1.0, tolerance_m=100.0, flights=10**6
+        ),
         "energy bandwidth": lambda: geomag.energy_bandwidth(np.sin(np.arange(400_000.0)), 1.0),
         "tuning": lambda: geomag.tune_sequence(
             grid, flown(grid, 100, (90.0, 60.0)), sigma=0.5, offset_m=250.0, max_length=10, quanta=[2.0], draws=10**6
@@ -56,7 +60,7 @@ def long_calls(grid):
 
 CALLS = [
     "contour, lattice of starts", "sliding window", "IEMA", "synthetic map", "synthetic map on axes",
-    "synthetic field at points", "energy bandwidth", "tuning",
+    "synthetic field at points", "posterior", "prediction", "energy bandwidth", "tuning",
 ]  # fmt: skip
 
 
