@@ -13,13 +13,15 @@ const SENSOR_NU: f64 = 10.0;
 /// all fixes, and a single outlier in a track tells that it does not hold there.
 const NORMAL_NU: f64 = 1000.0;
 const NORMAL: f64 = 0.97;
-/// Spread of the error level of one track where a sigma is given without an error model.
+/// What an error model says where there is none, all from the two surveys of docs/calibration-report.md, taken together: the
+/// spread of the error level of one track,
 const DEFAULT_SPREAD: f64 = 0.35;
-/// Correlation length of map errors in distances to the data, where not learnt.
+/// the correlation length of map errors in distances to the data, towards the longer ones that were learnt,
 const DEFAULT_CORRELATION: f64 = 1.75;
-/// Registration error in distances to the data, where not learnt.
+/// and the registration error in distances to the data.
 const DEFAULT_REGISTRATION: f64 = 0.15;
-/// Levels of the default map error, and the logarithms of their prior weights: a map with no word about its error may
+/// Levels of the default map error, in units of the default of patch.rs, and the logarithms of their prior weights, found
+/// on bare grids of the same two surveys and on EMM2017 ("With less than the lines" of the report): a map with no word about its error may
 /// as well be a field known exactly as a sparse survey, and hardly anything between.
 const UNKNOWN_LEVELS: [(f64, f64); 5] = [(0.0, 0.0), (0.1, -2.0), (0.33, -1.0), (1.0, 0.0), (3.0, -1.0)];
 
