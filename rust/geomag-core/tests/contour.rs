@@ -416,10 +416,13 @@ fn sliding_window_goes_on_bit_for_bit_from_a_saved_state() {
 fn a_start_that_leaves_one_sample_on_the_map_does_not_win() {
     let map = map_of(field);
     let (track, end, _) = flown([400.0, 300.0], 0.0, 1.0, 5);
-    // From the second start the oldest sample alone is on the map, and goes onto its contour as one always can.
+    // From all but the first start the oldest sample alone is on the map, and goes onto its contour as one always can.
+    let mut starts = vec![[0.0, 0.0]];
+    starts.extend((-28..48).map(|i| [500.0 * f64::from(i), 29_780.0]));
     let options = ContourOptions {
         min_points: Some(1),
-        starts: Starts::Offsets(vec![[0.0, 0.0], [0.0, 29_292.0]]),
+        radius_m: 600.0,
+        starts: Starts::Offsets(starts),
         ..tight(TransformKind::Translation)
     };
     let fix = match_contour(&map, &track, None, &options).unwrap();
