@@ -469,11 +469,10 @@ _Part = list[dict[str, "NDArray[Any]"]]
 
 def _numbers(trials: int | Sequence[int]) -> list[int]:
     try:
-        several = isinstance(trials, Iterable)
-        count = len(trials) if several else index(trials)
-        if count > MOST_TRIALS:
-            raise InvalidInputError(f"trials: needed at most {MOST_TRIALS}, got {count}")
-        numbers = [index(t) for t in (trials if several else range(count))]
+        several = trials if isinstance(trials, Sequence | np.ndarray) else range(index(trials))
+        if len(several) > MOST_TRIALS:
+            raise InvalidInputError(f"trials: needed at most {MOST_TRIALS}, got {len(several)}")
+        numbers = [index(t) for t in several]
     except TypeError as error:
         raise InvalidInputError(f"trials: needed a whole number, or several, got {trials!r}") from error
     if not numbers:
