@@ -38,7 +38,7 @@ pub struct Prediction {
 /// go through the matcher itself for the probability of a fix, which no local bound can tell.
 ///
 /// # Errors
-/// As [`match_posterior`]; [`Error::Invalid`] where the map knows nothing along the track.
+/// As [`match_posterior`](super::match_posterior); [`Error::Invalid`] where the map knows nothing along the track.
 pub fn predict(
     field: &dyn Field,
     track: &Track,
