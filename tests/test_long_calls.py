@@ -17,6 +17,14 @@ SOON = 2.0
 AXIS = np.arange(0.0, 20000.0, 100.0)
 
 
+@pytest.fixture(autouse=True)
+def ctrl_c_raises():
+    """Also where the tests run in the background of a shell, which has its jobs ignore Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module")
 def grid():
     return geomag.GridMap(90 * np.sin(AXIS / 400)[None, :] * np.cos(AXIS / 500)[:, None], AXIS, AXIS)
