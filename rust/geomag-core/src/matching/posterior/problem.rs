@@ -371,20 +371,14 @@ impl<'a> Problem<'a> {
         let levels = &channel.noise.levels;
         // That of a spread of levels which is typical, or the worst that an unknown map may be.
         let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { channel.noise.typical };
-        let (node, detail) = self.look(channel, offset, index, step);
+        let node = self.best_node(channel, offset, index, step);
+        let setup = self.setup(channel, node, step);
+        let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut Scratch::default());
         let (heading_deg, scale) = self.nuisance.heading_and_scale(&self.nuisance.nodes[node], &detail.theta);
         // Of several channels the worst, times their number: the chance that any of them is as bad (Bonferroni).
         let worst = self.channels.iter().map(|c| self.goodness(c, offset, step)).fold(1.0, f64::min);
         let goodness = (worst * self.channels.len() as f64).min(1.0);
         Closer { bias: detail.bias * channel.unit, heading_deg, scale, goodness }
-    }
-
-    /// One offset under one level, at the node of the nuisance parameters where it is likeliest.
-    fn look(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> (usize, kernel::Detail) {
-        let node = self.best_node(channel, offset, level, step);
-        let setup = self.setup(channel, node, step);
-        let level = channel.noise.levels[level];
-        (node, kernel::detail(&setup, channel.cells(offset), level, &mut Scratch::default()))
     }
 
     /// p-value of one channel's residuals at an offset: the chance, over what the error level of a track may be, that the
@@ -394,8 +388,7 @@ impl<'a> Problem<'a> {
     fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
         let (map_sigma, distance) = self.along(channel);
         let map_variance = channel.mean_variance(&map_sigma);
-        let (node, _) = self.look(channel, offset, channel.noise.typical, step);
-        let setup = self.setup(channel, node, step);
+        let setup = self.setup(channel, self.best_node(channel, offset, channel.noise.typical, step), step);
         let mut scratch = Scratch::default();
         let tail = |level: Level| {
             let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
