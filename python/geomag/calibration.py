@@ -323,15 +323,16 @@ def calibrate_simulated(
     Straight tracks at random places and headings, 1 to 3 cells a sample; normal noise of `sigma`; a bias uniform in
     +-`bias`; a share of outliers of +-`outlier`; a normal heading error; a drift of `drift_m` in a random direction over
     the sequence. Heading and drift are told to the matcher as an INS specification would: `heading_deg` as a standard
-    deviation, `drift_m` as a bound, which every flight reaches; a drift anywhere within it has a standard deviation of half
-    of it per axis. `heading_sigma_deg` and `drift_sigma_m` tell it something else.
+    deviation, `drift_m` as a bound on each component, which stands for a rectangular law with a standard deviation of
+    `drift_m` / sqrt(3) per axis (JCGM 100:2008, 4.3.7), though every flight drifts by the whole of it.
+    `heading_sigma_deg` and `drift_sigma_m` tell it something else.
     """
     _check(0, half_width_m=half_width_m, tolerance_m=tolerance_m)
     _check(1, True, samples=samples, trials=trials)
     _check(0, True, sigma=sigma, bias=bias, outlier=outlier, heading_deg=heading_deg, drift_m=drift_m)
     if not 0 <= outlier_share <= 1:
         raise InvalidInputError(f"outlier_share: needed a share in [0, 1], got {outlier_share}")
-    options = {"heading_sigma_deg": heading_deg, "drift_sigma_m": 0.5 * drift_m} | options
+    options = {"heading_sigma_deg": heading_deg, "drift_sigma_m": drift_m / np.sqrt(3)} | options
     rng = np.random.default_rng(seed)
     tracks: list[Track] = []
     truth: list[Any] = []

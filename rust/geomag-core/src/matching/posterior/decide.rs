@@ -47,7 +47,7 @@ pub(super) fn within(d: f64, sigma: f64, radius: f64) -> f64 {
 }
 
 /// Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26), for arguments >= 0.
-fn error_function(x: f64) -> f64 {
+pub(super) fn error_function(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x);
     let poly =
         t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
@@ -56,12 +56,6 @@ fn error_function(x: f64) -> f64 {
 
 fn square(x: f64, y: f64) -> f64 {
     x * x + y * y
-}
-
-/// Upper tail of the standard normal law.
-pub(super) fn normal_tail(z: f64) -> f64 {
-    let half = 0.5 * (1.0 - error_function(z.abs() / std::f64::consts::SQRT_2));
-    if z >= 0.0 { half } else { 1.0 - half }
 }
 
 /// Makes the answer of a posterior.

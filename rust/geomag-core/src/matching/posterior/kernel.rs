@@ -18,7 +18,7 @@ use std::ops::Range;
 
 use super::model::{LEVELS, Level};
 use super::patch::{BEND, Cells, DISTANCE, Patch, Place, VALUE, VARIANCE};
-pub(super) use closely::detail;
+pub(super) use closely::{Detail, detail};
 use integral::{nuisances, one_bias, weigh};
 
 /// Candidates handled together, so that the inner loops are vectors.

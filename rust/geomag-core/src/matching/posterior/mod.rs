@@ -23,6 +23,7 @@
 
 mod decide;
 mod density;
+mod goodness;
 mod kernel;
 mod model;
 mod nuisance;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
-use super::decide::normal_tail;
+use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
 use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions};
 use super::nuisance::{Node, Nuisance, reach_m};
@@ -381,10 +381,8 @@ impl<'a> Problem<'a> {
         Closer { bias: detail.bias * channel.unit, heading_deg, scale, goodness }
     }
 
-    /// p-value of one channel's residuals at an offset: the chance, over what the error level of a track may be, that the
-    /// mean of (nu + 1) z^2 / (nu + z^2) is as large (Box, J. Roy. Stat. Soc. A 143 (1980) 383: the prior predictive check).
-    ///
-    /// Under a level that mean is 1 and its variance 2 nu / (nu + 3) a sample; correlated samples count as fewer.
+    /// p-value of one channel's residuals at an offset, over what the error level of a track may be (Box, J. Roy. Stat. Soc. A 143
+    /// (1980) 383: the prior predictive check).
     fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
         let (map_sigma, distance) = self.along(channel);
         let map_variance = channel.mean_variance(&map_sigma);
@@ -393,9 +391,7 @@ impl<'a> Problem<'a> {
         let tail = |level: Level| {
             let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
             let (_, temper) = channel.temper(&level, distance, map_variance, self.spacing_m);
-            let effective = (detail.known as f64 * temper).max(1.0);
-            let deviation = (2.0 * level.nu / ((level.nu + 3.0) * effective)).sqrt();
-            level.log_prior.exp() * normal_tail((detail.misfit - 1.0) / deviation)
+            level.log_prior.exp() * goodness::p_value(&detail, level.nu, temper)
         };
         channel.noise.checked().into_iter().map(tail).sum()
     }

@@ -177,6 +177,20 @@ fn goodness_is_a_p_value_on_a_right_map() {
 }
 
 #[test]
+fn wild_readings_are_forgiven_up_to_one_in_five_and_not_when_half_are() {
+    for map in [exact(), rough(0.0).with_sigma(Some(MapSigma::Constant(5.0))).unwrap()] {
+        for (every, forgiven) in [(20, true), (5, true), (2, false)] {
+            let right = flight(&map, [200.0, 100.0], 40, 0.5, 0.0, 7);
+            let wild = |(k, v): (usize, &f64)| v + if k % every == 0 { 5e3 } else { 0.0 };
+            let values = right.values().iter().enumerate().map(wild).collect();
+            let track = Track::new(right.x().to_vec(), right.y().to_vec(), values, None).unwrap();
+            let fix = match_posterior(&map, &track, Some(0.5), &PosteriorOptions::new([500.0; 2])).unwrap();
+            assert_eq!(fix.status != Status::Rejected, forgiven, "one in {every}: {:?}", fix.goodness);
+        }
+    }
+}
+
+#[test]
 fn a_second_field_that_is_nonsense_is_rejected() {
     let map = exact();
     let track = flight(&map, [200.0, 100.0], 40, 0.5, 0.0, 7);

@@ -1,17 +1,20 @@
 //! One candidate looked at closely: its parameters, its misfit, what it tells of the offset.
 
+use super::super::goodness::MISS;
 use super::integral::{derivatives, nuisances, weigh};
 use super::{LANES, Level, MOST, Scratch, Setup, WIDENING, fill};
 
 /// What one candidate looks like under one error level.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(in super::super) struct Detail {
     /// Measured minus map constant, units.
     pub bias: f64,
     /// Nuisance parameters beside the bias, in the setup's order, standard deviations about the node.
     pub theta: [f64; MOST],
-    /// Mean of (nu + 1) z^2 / (nu + z^2), 1 where the model holds.
+    /// Mean of (nu + 1) z^2 / (nu + z^2) over the samples that are no misses, 1 where the model holds.
     pub misfit: f64,
+    /// Samples whose residual is beyond [`MISS`] standard deviations.
+    pub misses: usize,
     /// Samples that lie on the map.
     pub known: usize,
     /// Information on the offset, nuisance parameters out, one over square metres: `[ee, en, nn]`.
@@ -47,7 +50,7 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
     let mut theta = [[0.0; LANES]; MOST];
     nuisances::<false>(setup, scratch, level.nu as f32, &WIDENING, &mut theta);
     let nu = level.nu;
-    let (mut misfit, mut known) = (0.0, 0);
+    let (mut misfit, mut known, mut misses) = (0.0, 0, 0);
     let size = with_bias + setup.shapes.len();
     // Fisher information of (offset east, north, nuisances); the Schur complement leaves that of the offset.
     let mut full = [[0.0; MOST + 2]; MOST + 2];
@@ -67,7 +70,12 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
             h[2 + i] = f64::from(derived[i][0]);
             e -= h[2 + i] * theta[i][0];
         }
-        misfit += (nu + 1.0) * e * e * p / (nu + e * e * p);
+        let z2 = e * e * p;
+        if z2 > MISS * MISS {
+            misses += 1;
+        } else {
+            misfit += (nu + 1.0) * z2 / (nu + z2);
+        }
         for i in 0..size + 2 {
             for j in 0..size + 2 {
                 full[i][j] += p * h[i] * h[j];
@@ -91,8 +99,9 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
     Detail {
         bias: if with_bias == 1 { theta[0][0] } else { 0.0 },
         theta: rest,
-        misfit: misfit / f64::from(known.max(1)),
-        known: known as usize,
+        misfit: misfit / (known - misses).max(1) as f64,
+        misses,
+        known,
         information,
     }
 }
