@@ -14,7 +14,7 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 #: Lowest floor first; modules of one group may use each other.
 FLOORS = [
     {"error", "constants"},
-    {"monitor", "state"},
+    {"monitor", "state", "statistics"},
     {"frame", "field", "grid", "map_error", "gridding", "information", "track", "fix"},
     {"harmonic", "kalman", "lattice"},
     {"matching"},

@@ -26,5 +26,6 @@ pub mod matching;
 pub mod monitor;
 pub mod navigation;
 pub mod state;
+mod statistics;
 pub mod synthetic;
 pub mod track;

@@ -4,17 +4,17 @@
 //! transformations, so that the covariance is symmetric positive definite by construction (Kaminski, Bryson & Schmidt
 //! 1971; Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, sect. 3.2.8).
 
-mod consistency;
 pub mod error_state;
 mod estimate;
 mod extended;
 mod unscented;
 
-pub use consistency::{chi_square_cdf, chi_square_quantile};
 pub(crate) use estimate::square as symmetric;
 pub use estimate::{Estimate, Innovation};
 pub use extended::ExtendedKalmanFilter;
 pub use unscented::{Scaling, UnscentedKalmanFilter};
+
+pub use crate::statistics::{chi_square_cdf, chi_square_quantile};
 
 /// Greatest number of states, and of numbers in a measurement: a square matrix of them takes 128 MiB.
 pub const MAX_STATES: usize = 4096;

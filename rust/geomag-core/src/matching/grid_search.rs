@@ -8,11 +8,11 @@ use crate::error::{Error, Result, require_finite, require_positive, require_weig
 use crate::field::Field;
 use crate::fix::{Fix, Status, Surface};
 use crate::grid::Interpolation;
-use crate::kalman::chi_square_cdf;
 use crate::lattice::{BestTwo, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Pivot, place_track};
 use crate::matching::local_fit::LocalFit;
 use crate::matching::similarity::{Criterion, Robust, Scoring};
 use crate::monitor::Monitor;
+use crate::statistics::chi_square_survival;
 use crate::track::Track;
 
 /// Options of [`match_grid`]; the defaults search offsets alone with the mean square difference.
@@ -297,7 +297,7 @@ impl GridSearch {
     fn goodness(&self, fit: &LocalFit) -> Option<f64> {
         match (self.criterion, self.robust, self.sigma, fit.least_squares) {
             (Criterion::Msd, None, Some(sigma), Some((squares, freedom))) if self.their_weights().is_none() => {
-                Some(1.0 - chi_square_cdf(squares / (sigma * sigma), freedom))
+                Some(chi_square_survival(squares / (sigma * sigma), freedom as f64))
             }
             _ => None,
         }

@@ -39,19 +39,11 @@ pub(super) fn within(d: f64, sigma: f64, radius: f64) -> f64 {
             let along = d + sigma * u;
             let rest = radius * radius - along * along;
             if rest > 0.0 {
-                sum += weight * error_function((rest / 2.0).sqrt() / sigma);
+                sum += weight * libm::erf((rest / 2.0).sqrt() / sigma);
             }
         }
     }
     sum.min(1.0)
-}
-
-/// Error function to 1.5e-7 (Abramowitz and Stegun 7.1.26), for arguments >= 0.
-pub(super) fn error_function(x: f64) -> f64 {
-    let t = 1.0 / (1.0 + 0.327_591_1 * x);
-    let poly =
-        t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
-    1.0 - poly * (-x * x).exp()
 }
 
 fn square(x: f64, y: f64) -> f64 {

@@ -5,7 +5,6 @@
 //! correlated along the track where it is said, or found, to be. The normal matrix gives the covariance; several starts give several
 //! minima, and their masses (Laplace's approximation) the probability that another one is the right one.
 
-mod chi_square;
 mod descent;
 mod minima;
 mod options;
@@ -17,7 +16,7 @@ use crate::error::Result;
 use crate::fix::{Fix, Status};
 use crate::matching::scene::{Motion, Scene};
 use crate::monitor::Monitor;
-use chi_square::chi_square_survival;
+use crate::statistics::{chi_square_survival, normal_tail};
 use descent::Refiner;
 
 /// Share of the prior's variance above which the field has told too little to call the answer a fix.
@@ -118,10 +117,7 @@ fn mass_outside(tolerance: f64, best: &Minimum, minimum: &Minimum) -> f64 {
     if low >= high {
         return 1.0;
     }
-    let below = |z: f64| {
-        let tail = 0.5 * chi_square_survival(z * z, 1.0);
-        if z > 0.0 { 1.0 - tail } else { tail }
-    };
+    let below = |z: f64| normal_tail(-z);
     let integrand = |u: f64| {
         let half = (tolerance * tolerance - u * u).max(0.0).sqrt();
         let inside = below((half - mean[1]) / sigma_v) - below((-half - mean[1]) / sigma_v);

@@ -16,14 +16,15 @@ use serde::{Deserialize, Serialize};
 use super::sensing::Sensing;
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, UnscentedKalmanFilter, chi_square_quantile};
+use crate::statistics::chi_square_survival;
 use filter::{Filter, Layout};
 
 /// Innovations over which the filter is judged.
 const WINDOW: usize = 20;
 /// Rejections in a row that count as divergence.
 const MANY_REJECTIONS: u32 = 10;
-/// Standard normal deviate of the probability (1e-5) with which an honest filter is called divergent at a step.
-const DIVERGENCE_DEVIATE: f64 = 4.265;
+/// Probability with which an honest filter is called divergent at a step.
+const DIVERGENCE: f64 = 1e-5;
 
 /// Everything that changes from step to step, and what was asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -264,10 +265,7 @@ impl FieldNavigator {
             return false;
         }
         let (sum, dof) = self.state.window.iter().fold((0.0, 0), |(s, d), &(nis, dof)| (s + nis, d + dof));
-        // Wilson and Hilferty's approximation to the quantile of chi-square.
-        let k = dof as f64;
-        let part = 2.0 / (9.0 * k);
-        sum > k * (1.0 - part + DIVERGENCE_DEVIATE * part.sqrt()).powi(3)
+        chi_square_survival(sum, dof as f64) < DIVERGENCE
     }
 
     /// Moves on by `dt_s` seconds with the indicated speed (metres a second) and course (degrees, clockwise from north)
