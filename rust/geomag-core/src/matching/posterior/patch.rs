@@ -233,7 +233,7 @@ impl Patch {
         for r in 0..rows {
             for c in 0..columns {
                 let (row, column) = (first[1] + r as i64, first[0] + c as i64);
-                let node = if let Some(g) = grid {
+                let (value, sigma, distance) = if let Some(g) = grid {
                     let i = row as usize * map_columns + column as usize;
                     let sigma = match g.map_sigma() {
                         None => 0.0,
@@ -245,13 +245,14 @@ impl Patch {
                         Some(DistanceLayer::Constant(d)) => *d as f32,
                         Some(DistanceLayer::Grid(layer)) => layer[i],
                     };
-                    let value = if sigma.is_nan() || distance.is_nan() { f64::NAN } else { g.values().get(i) - level };
-                    [value as f32, (sigma * sigma) as f32, distance]
+                    (g.values().get(i), sigma, distance)
                 } else {
                     let (x, y) = (origin[0] + column as f64 * step[0], origin[1] + row as f64 * step[1]);
-                    let sigma = field.sigma(x, y);
-                    [(field.value(x, y) - level) as f32, (sigma * sigma) as f32, default_distance]
+                    (field.value(x, y), field.sigma(x, y), default_distance)
                 };
+                // A value of unknown error cannot be weighed: the place is as a hole (`Field::known_sigma`).
+                let value = if sigma.is_nan() || distance.is_nan() { f64::NAN } else { value - level };
+                let node = [value as f32, (sigma * sigma) as f32, distance];
                 for (plane, quantity) in patch.planes.iter_mut().zip(node) {
                     plane[r * columns + c] = quantity;
                 }
@@ -524,6 +525,43 @@ mod tests {
                 assert!((curvature - wanted.curvature).abs() < 1e-4);
                 assert!((distance[l] - wanted.distance).abs() < 1e-3);
             }
+        }
+    }
+
+    /// A field without a grid that says nothing of its error beyond x = 5.
+    #[derive(Debug)]
+    struct HalfKnown;
+
+    impl Field for HalfKnown {
+        fn value(&self, x: f64, _y: f64) -> f64 {
+            x
+        }
+        fn value_and_gradient(&self, x: f64, _y: f64) -> (f64, [f64; 2]) {
+            (x, [1.0, 0.0])
+        }
+        fn sigma(&self, x: f64, _y: f64) -> f64 {
+            if x > 5.0 { f64::NAN } else { 1.0 }
+        }
+        fn geographic(&self) -> bool {
+            false
+        }
+        fn wrap_x(&self, x: f64) -> f64 {
+            x
+        }
+        fn spacing(&self) -> [f64; 2] {
+            [1.0; 2]
+        }
+        fn mean(&self) -> f64 {
+            0.0
+        }
+    }
+
+    #[test]
+    fn a_value_of_unknown_error_is_a_hole() {
+        let patch = Patch::new(&HalfKnown, [0.0; 2], [10.0; 2], 10_000).unwrap();
+        for (x, known) in [(2.5, true), (7.5, false)] {
+            let [u, v] = patch.position(x, 3.0);
+            assert_eq!(patch.at(u, v).value.is_finite(), known, "at x = {x}");
         }
     }
 
