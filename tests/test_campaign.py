@@ -14,6 +14,7 @@ import pytest
 import geomag
 from geomag import campaign, synthetic
 from geomag._statistics import binomial_interval
+from geomag.campaign._plan import _Work
 
 METHOD = campaign.iema(sigma=1.0, half_width=2000.0)
 
@@ -209,7 +210,7 @@ def test_a_folder_knows_all_of_the_map(plan, tmp_path):
     ]
 
     def known(plan):
-        return campaign._Work(plan, {"method": METHOD}).fingerprint()["maps"]
+        return _Work(plan, {"method": METHOD}).fingerprint()["maps"]
 
     assert len({known(campaign.Campaign(m)) for m in maps}) == len(maps)
     assert len({known(campaign.Campaign(grid, truth=m)) for m in (None, *maps)}) == len(maps) + 1

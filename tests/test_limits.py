@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import geomag
-from geomag import campaign
+from geomag.campaign._plan import _numbers
 
 HUGE = 2**61
 AXIS = np.arange(0.0, 6000.0, 100.0)
@@ -88,7 +88,7 @@ def test_flights_and_trials_state_their_limits(grid, track):
     with pytest.raises(geomag.InvalidInputError, match="at most"):
         predict_many(grid, [track], half_width=500.0, sigma=1.0, flights=HUGE)
     with pytest.raises(geomag.InvalidInputError, match="at most"):
-        campaign._numbers(10**12)
+        _numbers(10**12)
 
 
 def test_more_threads_than_the_system_has_are_not_started(grid, track):

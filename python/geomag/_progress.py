@@ -1,4 +1,4 @@
-"""The progress bar behind `progress=True`."""
+"""What is behind `progress`: the caller's own function, or the bar of `progress=True`."""
 
 from __future__ import annotations
 
@@ -31,3 +31,10 @@ def bar(label: str = "") -> Callable[[int, int], None]:
         sys.stderr.flush()
 
     return show
+
+
+def reporter(progress: bool | Callable[[int, int], object] | None) -> Callable[[int, int], object]:
+    """Return what `progress` asks for: the caller's own, a bar, or nothing."""
+    if callable(progress):
+        return progress
+    return bar() if progress else lambda done, total: None

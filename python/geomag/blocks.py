@@ -17,6 +17,7 @@ import numpy as np
 from geomag._errors import InvalidInputError, NotFiniteError, ShapeError
 from geomag._geomag import bound_block, bound_reach
 from geomag._optional import require
+from geomag._progress import reporter
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -129,9 +130,7 @@ def blockwise(
                 run(function, wanted, *arguments(r, c), dtype), (len(wanted), r[1] - r[0], c[1] - c[0]), dtype=dtype)
             for c in column_cuts] for r in row_cuts])  # fmt: skip
     else:
-        from geomag.campaign import _reporter
-
-        report = _reporter(progress)
+        report = reporter(progress)
         stacked = np.empty((len(wanted), rows, columns), dtype=dtype)
         total = len(row_cuts) * len(column_cuts)
         for i, r in enumerate(row_cuts):
