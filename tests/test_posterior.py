@@ -10,6 +10,7 @@ import pytest
 from oracles import posterior
 
 import geomag
+from geomag import synthetic
 from geomag._statistics import wilson
 from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability
 from geomag.survey import Lines, learn_errors, line_spacing_m, map_from_lines, read_lines, with_line_spacing
@@ -359,6 +360,16 @@ def test_lines_become_a_map_that_knows_its_errors():
     assert between[0] < 60
 
 
+def test_errors_that_go_together_further_than_usual_are_learnt(monkeypatch):
+    monkeypatch.setattr("geomag.survey.CORRELATIONS", (0.2, 0.25))
+    monkeypatch.setattr("geomag.survey.SHARES", (0.5,))
+    model = learn_errors(survey(), seed=1)
+    tried = [t["correlation"] for t in model.trials]
+    # Longer and longer ones, until the longest is not the best.
+    assert tried[2:] == pytest.approx([0.25 * 1.25**k for k in range(1, len(tried) - 1)])
+    assert 0.5 < model.correlation < max(tried)
+
+
 def test_the_line_spacing_alone_gives_a_map_its_errors():
     lines = survey()
     made = map_from_lines(lines, model=learn_errors(lines, seed=1))
@@ -429,6 +440,27 @@ def test_osborne_lines_that_are_not_in_the_map(data_file):
     assert result["wrong"] <= 0.02
     assert result["gross"] <= 0.003
     assert result["median_m"] < 65
+
+
+MADE_UP = {
+    "rough": {"height_m": 75.0, "shortest_m": 150.0, "dipoles": 40, "dipole_depth_m": (100.0, 600.0)},
+    "as aeromagnetic ones are": {"height_m": 150.0, "shortest_m": 300.0, "dipole_depth_m": (200.0, 800.0)},
+    "smooth": {"height_m": 400.0, "shortest_m": 800.0, "dipoles": 6, "dipole_depth_m": (500.0, 1500.0)},
+}
+
+
+@pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
+@pytest.mark.parametrize("kind", MADE_UP)
+def test_the_risk_holds_on_surveys_that_nobody_tuned_to(kind):
+    field = synthetic.Crust(waves=512, longest_m=20_000.0, **MADE_UP[kind]).draw((0, 0, 36_000, 36_000), seed=3)
+    lines = synthetic.survey(
+        field, line_spacing_m=250.0, tie_spacing_m=5000.0, sigma=1.0, level_sigma=2.0, wander_m=12.0, seed=3
+    )
+    result = calibrate_lines(lines, name=kind, half_width_m=1000, tolerance_m=200, spacing_m=200, most=1200)
+    assert result.fixed.mean() > 0.9
+    ok = result.fixed
+    wrong, declared = np.sum(result.error_m[ok] > 200), result.risk[ok].sum()
+    assert wrong <= declared + 4 * np.sqrt(declared + 1)
 
 
 RING = tuple((555 * np.sin(a), 555 * np.cos(a)) for a in np.arange(12) * np.pi / 6)

@@ -140,3 +140,57 @@ def test_bad_flights_are_refused_by_name(field, path):
         synthetic.fly(field, degrees)
     with pytest.raises(geomag.InvalidInputError, match="SyntheticField"):
         synthetic.fly(None, path)
+
+
+def test_a_survey_reads_the_field_where_it_flies(field):
+    lines = synthetic.survey(field, line_spacing_m=1000.0, tie_spacing_m=8000.0)
+    assert np.array_equal(lines.values, field.sample(lines.x, lines.y))
+    pieces = lines.split()
+    along = [p for p in pieces if np.ptp(p.y) == 0]
+    ties = [p for p in pieces if np.ptp(p.x) == 0]
+    assert (len(along), len(ties)) == (31, 6)
+    assert [p.y[0] for p in along] == [1000.0 * k for k in range(31)]
+    assert all(np.allclose(np.diff(p.x), 100.0) for p in along)
+    # What `map_from_lines` takes for the spacing: that of all lines, ties among them.
+    assert geomag.survey.line_spacing_m(lines) == pytest.approx(1000 / (1 + 1 / 8), rel=0.05)
+
+
+def test_a_survey_has_the_errors_that_were_asked_for(field):
+    options = {"line_spacing_m": 500.0, "sigma": 1.5, "level_sigma": 4.0, "wander_m": 30.0}
+    lines = synthetic.survey(field, **options, seed=1)
+    error = lines.values - field.sample(lines.x, lines.y)
+    pieces = [error[lines.line == k] for k in np.unique(lines.line)]
+    assert np.sqrt(np.mean([np.var(p) for p in pieces])) == pytest.approx(1.5, rel=0.03)
+    # 61 levels: four standard errors.
+    assert np.std([np.mean(p) for p in pieces]) == pytest.approx(4.0, rel=4 / np.sqrt(2 * 61))
+    inner = [p for p in lines.split() if 400 < np.mean(p.y) < 29_600]
+    away = np.concatenate([p.y - 500 * np.round(np.mean(p.y) / 500) for p in inner])
+    assert np.std(away) == pytest.approx(30, rel=0.1)
+    again, other = (synthetic.survey(field, **options, seed=s) for s in (1, 2))
+    assert np.array_equal(again.values, lines.values)
+    assert not np.array_equal(other.values, lines.values)
+
+
+def test_a_geographic_survey_is_spaced_in_metres():
+    field = synthetic.Crust().draw((10.0, 60.0, 10.4, 60.2), geographic=True, seed=1)
+    lines = synthetic.survey(field, line_spacing_m=1000.0)
+    assert lines.geographic
+    east, north = lines.scale_m()
+    first, second = lines.split()[:2]
+    assert (second.y[0] - first.y[0]) * north == pytest.approx(1000, rel=1e-3)
+    assert (first.x[1] - first.x[0]) * east == pytest.approx(100, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"line_spacing_m": 0.0}, "line_spacing_m: needed a number > 0"),
+        ({"line_spacing_m": 40_000.0}, "needed at most the 30000 m of the field"),
+        ({"line_spacing_m": 500.0, "sample_spacing_m": 1e-3}, "at most 50000000 readings"),
+        ({"line_spacing_m": 500.0, "tie_spacing_m": float("nan")}, "tie_spacing_m: needed a number > 0, got nan"),
+        ({"line_spacing_m": 500.0, "wander_m": -1.0}, "wander_m: needed a number >= 0"),
+    ],
+)
+def test_bad_surveys_are_refused_by_name(field, options, words):
+    with pytest.raises(geomag.InvalidInputError, match=words):
+        synthetic.survey(field, **options)

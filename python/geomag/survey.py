@@ -49,6 +49,9 @@ REGISTRATION = 0.05
 #: tracks in it, which the spread of the level stands for already: most tracks need less.
 CORRELATIONS = (0.8, 0.95, 1.1, 1.3, 1.6, 2.0)
 SHARES = (0.5, 0.7, 1.0)
+#: Where the longest of these is the best, longer ones by this factor are tried up to that limit.
+LONGER = 1.25
+MOST_CORRELATION = 20.0
 #: What is believed of the two before a survey is seen: centre and standard deviation of the logarithm. A survey of a
 #: few hundred windows moves them where it is clear, and only there.
 CORRELATION_PRIOR = (1.1, 0.2)
@@ -529,42 +532,53 @@ def _try_correlations(
         truths.append(offsets)
     tolerance_m = 0.5 * spacing_m
     report = progress if callable(progress) else None
-    trials = []
-    total = len(CORRELATIONS) * len(SHARES)
-    for share in SHARES:
-        maps = [_layered(part, law, [share * v for v in abc]) for part in parts]
-        for correlation in CORRELATIONS:
-            losses = []
-            for (layered, distance), some, offsets in zip(maps, tracks, truths, strict=True):
-                if not some:
-                    continue
-                model = layered.with_error_model(
-                    nu=NU,
-                    scale_spread=SCALE_SPREAD,
-                    correlation=correlation,
-                    registration=REGISTRATION,
-                    distance_m=distance,
-                )
-                fixes = match_posterior_many(model, some, half_width=half, tolerance_m=tolerance_m)
-                for fix, offset in zip(fixes, offsets, strict=True):
-                    if fix.risk is None:
-                        continue
-                    wrong = float(np.hypot(*((np.array(fix.offset) - offset) * scale))) > tolerance_m
-                    # Some hundred windows tell nothing of risks below one in a hundred.
-                    risk = float(np.clip(fix.risk, 1e-2, 1 - 1e-2))
-                    losses.append(-np.log(risk if wrong else 1 - risk))
-            unlikely = 0.5 * (np.log(correlation / CORRELATION_PRIOR[0]) / CORRELATION_PRIOR[1]) ** 2
-            unlikely += 0.5 * (np.log(share / SHARE_PRIOR[0]) / SHARE_PRIOR[1]) ** 2
-            trials.append(
-                {
-                    "correlation": correlation,
-                    "share": share,
-                    "loss": float(np.mean(losses)),
-                    "total": float(np.sum(losses) + unlikely),
-                }
+    trials: list[dict[str, float]] = []
+    maps = {share: [_layered(part, law, [share * v for v in abc]) for part in parts] for share in SHARES}
+
+    def attempt(correlation: float, share: float, total: int) -> None:
+        losses = []
+        for (layered, distance), some, offsets in zip(maps[share], tracks, truths, strict=True):
+            if not some:
+                continue
+            model = layered.with_error_model(
+                nu=NU,
+                scale_spread=SCALE_SPREAD,
+                correlation=correlation,
+                registration=REGISTRATION,
+                distance_m=distance,
             )
-            if report is not None:
-                report(len(trials), total)
+            fixes = match_posterior_many(model, some, half_width=half, tolerance_m=tolerance_m)
+            for fix, offset in zip(fixes, offsets, strict=True):
+                if fix.risk is None:
+                    continue
+                wrong = float(np.hypot(*((np.array(fix.offset) - offset) * scale))) > tolerance_m
+                # Some hundred windows tell nothing of risks below one in a hundred.
+                risk = float(np.clip(fix.risk, 1e-2, 1 - 1e-2))
+                losses.append(-np.log(risk if wrong else 1 - risk))
+        unlikely = 0.5 * (np.log(correlation / CORRELATION_PRIOR[0]) / CORRELATION_PRIOR[1]) ** 2
+        unlikely += 0.5 * (np.log(share / SHARE_PRIOR[0]) / SHARE_PRIOR[1]) ** 2
+        trials.append(
+            {
+                "correlation": correlation,
+                "share": share,
+                "loss": float(np.mean(losses)),
+                "total": float(np.sum(losses) + unlikely),
+            }
+        )
+        if report is not None:
+            report(len(trials), total)
+
+    for share in SHARES:
+        for correlation in CORRELATIONS:
+            attempt(correlation, share, len(SHARES) * len(CORRELATIONS))
+    # A survey whose errors go together further than the usual one's says so at the end of what was tried.
+    longest = CORRELATIONS[-1]
+    while longest < MOST_CORRELATION:
+        best = min(trials, key=lambda t: t["total"])
+        if best["correlation"] < longest:
+            break
+        longest *= LONGER
+        attempt(longest, best["share"], len(trials) + 1)
     return trials
 
 

@@ -1,8 +1,8 @@
 """Fields, paths, INS errors and sensors that are made up but realistic, from a seed.
 
-The same seed gives the same bits on every machine. The order of things is that of a real run: a `Crust` gives a field,
-the field is surveyed into a map, a vehicle flies a true `Path`, its INS indicates another one, its sensor reads the
-field where it truly is.
+The same seed gives the same bits on every machine (a `survey` but for the last bits of NumPy's sine). The order of things is
+that of a real run: a `Crust` gives a field, the field is gridded, or surveyed line by line, into a map, a vehicle flies a
+true `Path`, its INS indicates another one, its sensor reads the field where it truly is.
 
 >>> import geomag
 >>> from geomag import synthetic
@@ -24,13 +24,16 @@ import operator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from geomag._errors import InvalidInputError, NotFiniteError
 from geomag._geomag import Path, SyntheticField, Track
 from geomag._geomag import draw_ins_error as _draw_ins_error
 from geomag._geomag import fly as _fly
+from geomag._metres import metres_per_unit
+from geomag.survey import Lines
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from geomag._geomag import GridMap
@@ -48,6 +51,7 @@ __all__ = [
     "SyntheticField",
     "Uniform",
     "fly",
+    "survey",
 ]
 
 
@@ -291,3 +295,86 @@ def fly(
     sensor_json = _json(Sensor() if sensor is None else sensor, Sensor)
     track, truth = _fly(field, path, ins_json, sensor_json, _seed(seed))
     return Flight(path, track, truth)
+
+
+#: Most readings of one survey.
+MOST_READINGS = 50_000_000
+
+
+def survey(
+    field: SyntheticField,
+    *,
+    line_spacing_m: float,
+    sample_spacing_m: float | None = None,
+    tie_spacing_m: float | None = None,
+    sigma: float = 0.0,
+    level_sigma: float = 0.0,
+    wander_m: float = 0.0,
+    seed: int = 0,
+) -> Lines:
+    """Survey a field: lines from west to east, and ties from south to north, over the whole of its extent.
+
+    What `geomag.map_from_lines` makes a map of, with the truth known between the lines.
+
+    Parameters
+    ----------
+    field : the true field.
+    line_spacing_m : distance between the lines.
+    sample_spacing_m : distance between readings along a line; a tenth of the line spacing where not given.
+    tie_spacing_m : distance between the tie lines; none where not given.
+    sigma : standard deviation of the noise of a reading, value units.
+    level_sigma : standard deviation of a line's own constant, what levelling has left, value units.
+    wander_m : standard deviation of a line's distance from where it was planned, over wavelengths of some twenty line
+        spacings; the positions that come back are those flown.
+    seed : of noise, levels and wander.
+
+    Raises `InvalidInputError` where fewer than two lines fit, or the readings would be more than 50,000,000.
+
+    Examples
+    --------
+    >>> field = Crust().draw((0, 0, 20_000, 10_000), seed=4)
+    >>> lines = survey(field, line_spacing_m=500.0, tie_spacing_m=5_000.0, sigma=1.0, level_sigma=2.0, wander_m=20.0)
+    >>> len(lines.split()), lines.x.size
+    (26, 9426)
+    """
+    sample_spacing_m = line_spacing_m / 10 if sample_spacing_m is None else sample_spacing_m
+    for name, value in (
+        ("line_spacing_m", line_spacing_m),
+        ("sample_spacing_m", sample_spacing_m),
+        ("tie_spacing_m", line_spacing_m if tie_spacing_m is None else tie_spacing_m),
+    ):
+        if not (math.isfinite(value) and value > 0):
+            raise InvalidInputError(f"{name}: needed a number > 0, got {value}")
+    for name, value in (("sigma", sigma), ("level_sigma", level_sigma), ("wander_m", wander_m)):
+        if not (math.isfinite(value) and value >= 0):
+            raise InvalidInputError(f"{name}: needed a number >= 0, got {value}")
+    low, high = np.reshape(field.extent, (2, 2))
+    scale = np.array(metres_per_unit(field.geographic, 0.5 * float(low[1] + high[1])))
+    size = (high - low) * scale
+
+    def count(length: float, spacing: float) -> int:
+        return math.floor(length / spacing * (1 + 1e-12)) + 1
+
+    runs = [(0, line_spacing_m)] if tie_spacing_m is None else [(0, line_spacing_m), (1, tie_spacing_m)]
+    if count(size[1], line_spacing_m) < 2:
+        raise InvalidInputError(f"line_spacing_m: needed at most the {size[1]:g} m of the field, got {line_spacing_m}")
+    readings = sum(count(size[1 - axis], apart) * count(size[axis], sample_spacing_m) for axis, apart in runs)
+    if readings > MOST_READINGS:
+        raise InvalidInputError(f"survey: needed at most {MOST_READINGS} readings, got {readings}")
+    random = np.random.default_rng(_seed(seed))
+    parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    for axis, apart in runs:
+        along = sample_spacing_m * np.arange(count(size[axis], sample_spacing_m))
+        for k in range(count(size[1 - axis], apart)):
+            # Three waves of about that length, of random phase, whose squares add up to the variance.
+            phase, length = random.uniform(0, 2 * np.pi, 3), line_spacing_m * random.uniform(15, 30, 3)
+            waves = np.sin(2 * np.pi * along[:, None] / length + phase).sum(axis=1)
+            across = np.clip(k * apart + wander_m * math.sqrt(2 / 3) * waves, 0, size[1 - axis])
+            place = (along, across) if axis == 0 else (across, along)
+            position = low + np.column_stack(place) / scale
+            reading = field.sample(position[:, 0], position[:, 1]) + random.normal(0, level_sigma)
+            parts.append((position, reading + random.normal(0, sigma, along.size)))
+    position = np.concatenate([p for p, _ in parts])
+    label = np.repeat(np.arange(len(parts)), [len(p) for p, _ in parts])
+    values = np.concatenate([v for _, v in parts])
+    return Lines(position[:, 0], position[:, 1], values, label, field.geographic)
