@@ -13,7 +13,15 @@ import geomag
 from geomag import synthetic
 from geomag._statistics import wilson
 from geomag.calibration import assess, calibrate_lines, calibrate_simulated, suitability
-from geomag.survey import Lines, learn_errors, line_spacing_m, map_from_lines, read_lines, with_line_spacing
+from geomag.survey import (
+    Lines,
+    learn_errors,
+    line_spacing_m,
+    map_from_lines,
+    read_lines,
+    smooth_lines,
+    with_line_spacing,
+)
 
 
 def field(x, y):
@@ -358,6 +366,33 @@ def test_lines_become_a_map_that_knows_its_errors():
     assert np.nanmedian(far) > np.nanmedian(near)
     between = np.abs(made.sample([6000.0], [6150.0]) - 3 * field(1.7 * 6000.0, 1.7 * 6150.0))
     assert between[0] < 60
+
+
+def test_smoothed_lines_keep_the_trend_and_lose_the_noise():
+    rng = np.random.default_rng(4)
+    along = np.cumsum(rng.uniform(5, 15, 400))
+    x, label = np.concatenate([along, along, [0.0]]), np.repeat([3, 1, 2], [400, 400, 1])
+    trend = np.where(label == 3, 0.01 * x + 7, -5.0)
+    noise = rng.normal(0, 1, x.size)
+    order = rng.permutation(2)  # lines in any order, each line's own readings in theirs
+    rows = np.concatenate([np.flatnonzero(label == k) for k in (np.array([3, 1])[order])] + [[800]])
+    flat = smooth_lines(Lines(x[rows], label[rows] * 100.0, np.full(x.size, 3.0), label[rows]), 100.0)
+    assert np.allclose(flat.values, 3.0, rtol=1e-12)
+    lines = Lines(x[rows], label[rows] * 100.0, (trend + noise)[rows], label[rows])
+    smooth = smooth_lines(lines, 100.0)
+    assert np.array_equal(smooth.x, lines.x)
+    assert np.array_equal(smooth.line, lines.line)
+    left = smooth.values - trend[rows]
+    inner = (lines.x > 200) & (lines.x < along[-1] - 200)
+    # Ten readings averaged twice: a triangle of twenty, whose squared weights add up to 2 / 3 of a tenth.
+    assert np.std(left[inner]) == pytest.approx(np.sqrt(2 / 30), rel=0.2)
+    assert np.max(np.abs(left[inner])) < 1.2
+    # Ends, and a line of one reading, are as they were.
+    for end in (0, 399, 400, 799, 800):
+        assert smooth.values[end] == pytest.approx(lines.values[end], abs=1e-9)
+    for wrong in (0.0, -1.0, float("nan")):
+        with pytest.raises(geomag.InvalidInputError, match="length_m: needed a number > 0"):
+            smooth_lines(lines, wrong)
 
 
 def test_errors_that_go_together_further_than_usual_are_learnt(monkeypatch):

@@ -171,6 +171,50 @@ def read_lines(
     return Lines(columns[0], columns[1], columns[2], table[line].to_numpy(), geographic)
 
 
+def smooth_lines(lines: Lines, length_m: float) -> Lines:
+    """Lines whose values are means over `length_m` along each line, taken twice, which narrows to its ends.
+
+    Every reading of a survey is honoured by its map. Where their noise makes slopes as steep as the field's own, the map has features
+    that are none, and the risks declared on it are too small. A quarter to a whole of the line spacing takes the noise away and
+    leaves what can be carried from line to line. Readings that are matched on such a map are best averaged over as long a stretch.
+
+    Raises `InvalidInputError` for a length that is not a number above zero.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from geomag import synthetic
+    >>> from geomag.survey import smooth_lines
+    >>> field = synthetic.Crust().draw((0, 0, 20_000, 10_000), seed=4)
+    >>> lines = synthetic.survey(field, line_spacing_m=500.0, sample_spacing_m=10.0, sigma=2.0)
+    >>> truth = field.sample(lines.x, lines.y)
+    >>> round(float(np.std(lines.values - truth)), 1)
+    2.0
+    >>> round(float(np.std(smooth_lines(lines, 100.0).values - truth)), 1)
+    0.5
+    """
+    if not (np.isfinite(length_m) and length_m > 0):
+        raise InvalidInputError(f"length_m: needed a number > 0, got {length_m}")
+    east, north = lines.scale_m()
+    values = lines.values.copy()
+    _, inverse = np.unique(lines.line, return_inverse=True)
+    order = np.argsort(inverse, kind="stable")
+    for rows in np.split(order, np.cumsum(np.bincount(inverse))[:-1]):
+        x, y = lines.x[rows] * east, lines.y[rows] * north
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+        half = np.minimum(0.5 * length_m, np.minimum(along, along[-1] - along)) * (1 + 1e-9)
+        first = np.searchsorted(along, along - half, side="left")
+        last = np.searchsorted(along, along + half, side="right")
+        # Sums of what is left without the mean keep their digits.
+        mean = float(np.mean(values[rows]))
+        some = values[rows] - mean
+        for _ in range(2):
+            total = np.concatenate([[0.0], np.cumsum(some)])
+            some = (total[last] - total[first]) / (last - first)
+        values[rows] = mean + some
+    return Lines(lines.x, lines.y, values, lines.line, lines.geographic)
+
+
 def line_spacing_m(lines: Lines) -> float:
     """Distance between neighbouring lines, metres: the area that they cover over their length."""
     east, north = lines.scale_m()

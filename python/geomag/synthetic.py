@@ -332,8 +332,9 @@ def survey(
 
     Examples
     --------
-    >>> field = Crust().draw((0, 0, 20_000, 10_000), seed=4)
-    >>> lines = survey(field, line_spacing_m=500.0, tie_spacing_m=5_000.0, sigma=1.0, level_sigma=2.0, wander_m=20.0)
+    >>> from geomag import synthetic
+    >>> field = synthetic.Crust().draw((0, 0, 20_000, 10_000), seed=4)
+    >>> lines = synthetic.survey(field, line_spacing_m=500.0, tie_spacing_m=5_000.0, sigma=1.0, wander_m=20.0)
     >>> len(lines.split()), lines.x.size
     (26, 9426)
     """

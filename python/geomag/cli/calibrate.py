@@ -51,6 +51,10 @@ def calibrate(
     overlap: Annotated[
         float, typer.Option(callback=share, help="Share of a window that the next one has too (lines only).")
     ] = 0.0,
+    smooth_m: Annotated[
+        float | None,
+        typer.Option(callback=positive, help="Average the lines, map and readings, over this length (lines only)."),
+    ] = None,
     max_risk: Annotated[float, typer.Option(callback=share, help="Risk up to which a fix is declared.")] = 0.01,
     x: Annotated[str, typer.Option(help="Column of x or longitude.")] = "longitude",
     y: Annotated[str, typer.Option(help="Column of y or latitude.")] = "latitude",
@@ -69,7 +73,7 @@ def calibrate(
     """Report declared risk against observed errors, on left-out lines of a survey or on simulated flights."""
     from geomag import GridMap
     from geomag.calibration import calibrate_lines, calibrate_simulated
-    from geomag.survey import read_lines
+    from geomag.survey import read_lines, smooth_lines
 
     if simulate:
         grid = read_grid(source, variable, geographic=geographic)
@@ -95,7 +99,7 @@ def calibrate(
     else:
         lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic is not False)
         result = calibrate_lines(
-            lines,
+            lines if smooth_m is None else smooth_lines(lines, smooth_m),
             name=source.name,
             half_width_m=half_width_m,
             tolerance_m=tolerance_m,
