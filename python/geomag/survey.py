@@ -109,11 +109,14 @@ class Lines:
 
     def split(self) -> list[Lines]:
         """One `Lines` for every label, in the order of first appearance."""
+        return [self._take(rows) for rows in self._rows()]
+
+    def _rows(self) -> list[npt.NDArray[np.int_]]:
+        """Rows of every line, in the order of first appearance."""
         _, first, inverse = np.unique(self.line, return_index=True, return_inverse=True)
         order = np.argsort(inverse, kind="stable")
-        edges = np.cumsum(np.bincount(inverse))[:-1]
-        pieces = np.split(order, edges)
-        return [self._take(pieces[k]) for k in np.argsort(first)]
+        pieces = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
+        return [pieces[k] for k in np.argsort(first)]
 
     def _take(self, keep: npt.NDArray[Any]) -> Lines:
         return Lines(self.x[keep], self.y[keep], self.values[keep], self.line[keep], self.geographic)
@@ -171,6 +174,16 @@ def read_lines(
     return Lines(columns[0], columns[1], columns[2], table[line].to_numpy(), geographic)
 
 
+def _legs_m(x: Array, y: Array, scale_m: tuple[float, float]) -> Array:
+    """Distance from every point of a line to the next, metres."""
+    return np.asarray(np.hypot(np.diff(x) * scale_m[0], np.diff(y) * scale_m[1]), dtype=np.float64)
+
+
+def _along_m(x: Array, y: Array, scale_m: tuple[float, float]) -> Array:
+    """Distance flown from the first point of a line to every point, metres."""
+    return np.concatenate([[0.0], np.cumsum(_legs_m(x, y, scale_m))])
+
+
 def smooth_lines(lines: Lines, length_m: float) -> Lines:
     """Lines whose values are means over `length_m` along each line, taken twice, which narrows to its ends.
 
@@ -195,13 +208,10 @@ def smooth_lines(lines: Lines, length_m: float) -> Lines:
     """
     if not (np.isfinite(length_m) and length_m > 0):
         raise InvalidInputError(f"length_m: needed a number > 0, got {length_m}")
-    east, north = lines.scale_m()
+    scale = lines.scale_m()
     values = lines.values.copy()
-    _, inverse = np.unique(lines.line, return_inverse=True)
-    order = np.argsort(inverse, kind="stable")
-    for rows in np.split(order, np.cumsum(np.bincount(inverse))[:-1]):
-        x, y = lines.x[rows] * east, lines.y[rows] * north
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    for rows in lines._rows():
+        along = _along_m(lines.x[rows], lines.y[rows], scale)
         half = np.minimum(0.5 * length_m, np.minimum(along, along[-1] - along)) * (1 + 1e-9)
         first = np.searchsorted(along, along - half, side="left")
         last = np.searchsorted(along, along + half, side="right")
@@ -220,7 +230,7 @@ def line_spacing_m(lines: Lines) -> float:
     east, north = lines.scale_m()
     length = 0.0
     for one in lines.split():
-        length += float(np.sum(np.hypot(np.diff(one.x) * east, np.diff(one.y) * north)))
+        length += float(np.sum(_legs_m(one.x, one.y, (east, north))))
     if length == 0.0:
         raise TooFewSamplesError("lines: needed lines of at least 2 points each, got single points")
     # The area is counted in boxes a few spacings wide, which a line crosses wherever there are lines at all, and which divide
@@ -401,8 +411,7 @@ def _windows(
     """
     out = []
     for one in lines:
-        east, north = one.scale_m()
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(one.x) * east, np.diff(one.y) * north))])
+        along = _along_m(one.x, one.y, one.scale_m())
         total = int(along[-1] / spacing_m) + 1
         step = length if total >= length else total
         if step < SHORTEST_WINDOW:
