@@ -481,21 +481,28 @@ MADE_UP = {
     "rough": {"height_m": 75.0, "shortest_m": 150.0, "dipoles": 40, "dipole_depth_m": (100.0, 600.0)},
     "as aeromagnetic ones are": {"height_m": 150.0, "shortest_m": 300.0, "dipole_depth_m": (200.0, 800.0)},
     "smooth": {"height_m": 400.0, "shortest_m": 800.0, "dipoles": 6, "dipole_depth_m": (500.0, 1500.0)},
+    "flat": {"height_m": 600.0, "shortest_m": 1200.0, "dipoles": 0, "texture_rms": 15.0},
 }
 
 
 @pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
-@pytest.mark.parametrize("kind", MADE_UP)
-def test_the_risk_holds_on_surveys_that_nobody_tuned_to(kind):
+@pytest.mark.parametrize(
+    ("kind", "sigma", "level_sigma", "least"),
+    [("rough", 1.0, 2.0, 0.9), ("as aeromagnetic ones are", 1.0, 2.0, 0.9), ("smooth", 1.0, 2.0, 0.9),
+     ("flat", 1.0, 2.0, 0.3), ("flat", 1.0, 0.0, 0.6), ("rough", 10.0, 5.0, 0.8)],
+)  # fmt: skip
+def test_the_risk_holds_on_surveys_that_nobody_tuned_to(kind, sigma, level_sigma, least):
     field = synthetic.Crust(waves=512, longest_m=20_000.0, **MADE_UP[kind]).draw((0, 0, 36_000, 36_000), seed=3)
     lines = synthetic.survey(
-        field, line_spacing_m=250.0, tie_spacing_m=5000.0, sigma=1.0, level_sigma=2.0, wander_m=12.0, seed=3
+        field, line_spacing_m=250.0, tie_spacing_m=5000.0, sigma=sigma, level_sigma=level_sigma, wander_m=12.0, seed=3
     )
     result = calibrate_lines(lines, name=kind, half_width_m=1000, tolerance_m=200, spacing_m=200, most=1200)
-    assert result.fixed.mean() > 0.9
+    assert result.fixed.mean() > least
     ok = result.fixed
     wrong, declared = np.sum(result.error_m[ok] > 200), result.risk[ok].sum()
     assert wrong <= declared + 4 * np.sqrt(declared + 1)
+    # Where the spread of the errors is believed, the risk is too; 2 would be right, 4 to 7 is what noise that is honoured gives.
+    assert np.mean(result.nees[ok]) < 3.0
 
 
 RING = tuple((555 * np.sin(a), 555 * np.cos(a)) for a in np.arange(12) * np.pi / 6)

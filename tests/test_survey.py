@@ -8,8 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import geomag
+from geomag import synthetic
+from geomag._geomag import _minimum_curvature
 from geomag.calibration import calibrate_lines, calibrate_simulated, suitability
-from geomag.survey import ErrorModel, Lines, _Axes, _nodes, map_from_lines
+from geomag.survey import ErrorModel, Lines, learn_errors, map_from_lines
+from geomag.survey._surface import Axes, nodes
 
 coordinate = st.floats(-1e7, 1e7, allow_subnormal=False)
 
@@ -21,7 +24,7 @@ coordinate = st.floats(-1e7, 1e7, allow_subnormal=False)
 @example(-0.7, 1.4, 0.1)
 def test_nodes_enclose_every_datum_and_no_more_than_that(low, extent, step):
     c = np.array([low + extent, low])
-    first, count = _nodes(c, step)
+    first, count = nodes(c, step)
     last = first + step * (count - 1)
     assert first <= c.min()
     assert last >= c.max()
@@ -40,11 +43,83 @@ def test_a_map_of_lines_has_a_value_at_every_datum():
     assert np.isfinite(grid.sample(x, y)).all()
 
 
+@pytest.mark.parametrize("weight", [0.1, 1.0])
+def test_a_surface_that_misses_its_data_is_the_thin_plate_smoothing_spline(weight):
+    """SciPy's spline of r^2 log r, whose energy is 8 pi times its quadratic form, with the same penalty."""
+    interpolate = pytest.importorskip("scipy.interpolate")
+    rng, n = np.random.default_rng(1), 61
+    where, axis = rng.uniform(0, n - 1, (900, 2)), np.arange(float(n))
+
+    def truth(x, y):
+        return 10 * np.sin(x / 9) * np.cos(y / 7) + 0.2 * x
+
+    data = truth(*where.T) + rng.normal(0, 2, 900)
+    nodes_xy = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    spline = interpolate.RBFInterpolator(where, data, kernel="thin_plate_spline", smoothing=8 * np.pi / weight)
+    expected = spline(nodes_xy).reshape(n, n)
+    got = _minimum_curvature(*where.T, data, (0.0, 1.0, n), (0.0, 1.0, n), aspect=1.0, weight=weight)
+    inner = (slice(12, -12), slice(12, -12))
+    # Nodes stand for the data of their cells, and the border is softer than the spline's.
+    noise = np.std((expected - truth(*np.meshgrid(axis, axis)))[inner])
+    assert np.std((got - expected)[inner]) < 0.2 * noise
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """A flat and a strong field, each with lines of 1 nT of noise over it."""
+
+    def over(height_m, rms):
+        crust = synthetic.Crust(
+            waves=256, longest_m=10_000.0, height_m=height_m, shortest_m=2 * height_m, dipoles=0, texture_rms=rms
+        )
+        field = crust.draw((0, 0, 12_000, 12_000), seed=3)
+        return field, synthetic.survey(field, line_spacing_m=300.0, sample_spacing_m=25.0, sigma=1.0, seed=3)
+
+    return {"flat": over(600.0, 6.0), "strong": over(150.0, 60.0)}
+
+
+def test_the_lines_say_whether_noise_is_taken_for_field(noisy):
+    field, lines = noisy["flat"]
+    model = learn_errors(lines)
+    assert model.smoothing_m > 50
+    errors = []
+    for smoothing_m in (0.0, None):
+        grid = map_from_lines(lines, smoothing_m=smoothing_m)
+        x, y = np.meshgrid(grid.x, grid.y)
+        errors.append((np.asarray(grid.values) - field.sample(x.ravel(), y.ravel()).reshape(x.shape))[8:-8, 8:-8])
+    # The slopes of the errors are what looks like field.
+    slopes = [np.nanstd(np.diff(e, axis=1)) for e in errors]
+    assert np.nanstd(errors[1]) < 0.7 * np.nanstd(errors[0])
+    assert slopes[1] < 0.4 * slopes[0]
+    # Lines over a strong field are honoured.
+    field, lines = noisy["strong"]
+    model = learn_errors(lines)
+    assert model.smoothing_m == 0
+    honoured = map_from_lines(lines, model=model)
+    assert np.nanstd(honoured.sample(lines.x, lines.y) - lines.values) < 1.0
+
+
+def test_smoothing_that_cannot_be_is_refused(noisy):
+    _, lines = noisy["flat"]
+    for value in (-1.0, np.nan, np.inf):
+        with pytest.raises(geomag.InvalidInputError, match="smoothing_m: needed a number"):
+            learn_errors(lines, smoothing_m=value)
+    with pytest.raises(geomag.InvalidInputError, match="'linear'"):
+        map_from_lines(lines, method="linear", smoothing_m=100.0)
+    model = ErrorModel(0.01, 0.1, 0.1, 0.1, 1.0, 0.15, 300.0, 0, 0.0, smoothing_m=100.0)
+    with pytest.raises(geomag.InvalidInputError, match="beside a model"):
+        map_from_lines(lines, model=model, smoothing_m=100.0)
+    with pytest.raises(geomag.InvalidInputError, match="'cubic'"):
+        map_from_lines(lines, model=model, method="cubic")
+    with pytest.raises(geomag.InvalidInputError, match="weight: needed"):
+        _minimum_curvature([0.0], [0.0], [1.0], (0.0, 1.0, 3), (0.0, 1.0, 3), aspect=1.0, weight=0.0)
+
+
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf, (1.0, 2.0, 3.0), "wide", (1.0, 0.0)])
 def test_a_spacing_that_is_none_is_refused(spacing):
     lines = Lines([0.0, 1, 2, 3], [0.0, 1, 0, 1], [1.0, 2, 3, 4], [0, 0, 1, 1])
     with pytest.raises(geomag.InvalidInputError, match="spacing"):
-        _Axes.over(lines, spacing)
+        Axes.over(lines, spacing)
 
 
 def test_lines_that_cannot_be_are_refused():

@@ -1059,6 +1059,7 @@ def _minimum_curvature(
     y_axis: tuple[float, float, int],
     *,
     aspect: float,
+    weight: float = ...,
     sweeps: int = 400,
     progress: _Progress = None,
 ) -> _Floats: ...

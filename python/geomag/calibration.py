@@ -23,7 +23,8 @@ from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
 from geomag._optional import require
 from geomag._statistics import wilson
-from geomag.survey import Lines, _windows, folds_of, map_from_lines
+from geomag.survey import Lines, folds_of, map_from_lines
+from geomag.survey._lines import windows_of
 
 Array = npt.NDArray[np.float64]
 Progress = bool | Callable[[int, int], None] | None
@@ -264,7 +265,7 @@ def calibrate_lines(
         taken = [one for one, f in zip(pieces, fold, strict=True) if f == k]
 
         def usable(share: float, taken: list[Lines] = taken, grid: GridMap = grid) -> list[tuple[Array, Array, Array]]:
-            some = _windows(taken, spacing_m, samples, share)
+            some = windows_of(taken, spacing_m, samples, share)
             return [w for w in some if len(w[0]) == samples and np.mean(np.isfinite(grid.sample(w[0], w[1]))) >= 0.9]
 
         windows = usable(overlap)

@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError
 from geomag._geomag import FieldObservations, GridMap, LocalFrame, RectangularHarmonicModel
-from geomag.survey import Lines, _Axes, _grid, folds_of
+from geomag.survey import Lines, folds_of
+from geomag.survey._surface import Axes, grid_lines
 
 Array = npt.NDArray[np.float64]
 
@@ -226,7 +227,7 @@ def compare_with_map(
     placed, main = _Placed.of(lines, height_m), _main(main_field)
     part = _spread(placed, lines, folds)
     told = _options(order, ridge, damping_m, anisotropy, options)
-    axes = _Axes.over(lines, None)
+    axes = Axes.over(lines, None)
     xs, ys = axes.coordinates()
     model_errors, grid_errors, sigmas = (np.full(lines.x.size, np.nan) for _ in range(3))
     chosen = []
@@ -238,7 +239,7 @@ def compare_with_map(
         predicted = model.field(*points, extrapolate=True) @ (main / np.linalg.norm(main))
         model_errors[out] = lines.values[out] - predicted
         sigmas[out] = model.sigma(*points, direction=main / np.linalg.norm(main), extrapolate=True)
-        surface, _ = _grid(lines._take(~out).split(), axes, "minimum_curvature")
+        surface, _ = grid_lines(lines._take(~out).split(), axes, "minimum_curvature")
         grid = GridMap(surface, xs, ys, geographic=lines.geographic)
         grid_errors[out] = lines.values[out] - grid.sample(lines.x[out], lines.y[out])
         if progress is not None:

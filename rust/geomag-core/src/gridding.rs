@@ -20,7 +20,8 @@ const ROUNDS: usize = 4;
 ///
 /// `aspect` is the cell's width over its height in metres. Nodes with data in their own cell take the mean of these, moved to
 /// the node along the surface's gradient; all others are relaxed until the surface between them has least curvature
-/// (`sweeps` Gauss-Seidel sweeps a round; 100 is plenty). Nodes far from any datum have no meaning; mask them with
+/// (`sweeps` Gauss-Seidel sweeps a round; 100 is plenty). That is a `weight` of infinity; a finite one lets the surface miss its data, so that
+/// the sum of `weight` times the misses squared and of the squared curvature (per cell height) is least: a smoothing spline. Nodes far from any datum have no meaning; mask them with
 /// [`distance_to_data`].
 ///
 /// # Errors
@@ -31,29 +32,34 @@ pub fn minimum_curvature(
     x_axis: &Axis,
     y_axis: &Axis,
     aspect: f64,
+    weight: f64,
     sweeps: usize,
     monitor: &dyn Monitor,
 ) -> Result<Vec<f64>> {
     let [x, y, values] = points;
     check(x, y, values)?;
+    if weight.is_nan() || weight <= 0.0 {
+        return Err(Error::invalid("weight", "a number > 0", weight));
+    }
     let mut coarse: Option<(Vec<f64>, usize, usize)> = None;
     for (done, level) in LEVELS.into_iter().enumerate() {
         monitor.advance(done as u64, LEVELS.len() as u64)?;
         let columns = (x_axis.len() - 1).div_ceil(level) + 1;
         let rows = (y_axis.len() - 1).div_ceil(level) + 1;
         let bins = bin(points, x_axis, y_axis, level, columns, rows)?;
+        let mut pins = Pins::new(&bins, weight * (level * level) as f64);
         let mut surface = match &coarse {
             None => start(&bins, columns, rows),
             Some((surface, c, r)) => refine(surface, *c, *r, columns, rows),
         };
         for _ in 0..ROUNDS {
-            pin(&mut surface, &bins, columns, rows);
+            pins.set(&mut surface, &bins, columns, rows);
             for _ in 0..sweeps.div_ceil(ROUNDS) {
                 monitor.advance(done as u64, LEVELS.len() as u64)?;
-                relax(&mut surface, &bins, columns, rows, aspect);
+                relax(&mut surface, &pins, columns, rows, aspect);
             }
         }
-        pin(&mut surface, &bins, columns, rows);
+        pins.set(&mut surface, &bins, columns, rows);
         coarse = Some((surface, columns, rows));
     }
     let (surface, columns, _) = coarse.unwrap_or_default();
@@ -149,26 +155,39 @@ fn refine(coarse: &[f64], c: usize, r: usize, columns: usize, rows: usize) -> Ve
     fine
 }
 
-/// Sets the nodes that have data: their mean, moved to the node along the surface.
-fn pin(surface: &mut [f64], bins: &[Bin], columns: usize, rows: usize) {
-    let slope = |low: f64, high: f64, cells: usize| if cells > 0 { (high - low) / cells as f64 } else { 0.0 };
-    let pinned: Vec<(usize, f64)> = (0..bins.len())
-        .filter(|&i| bins[i].count > 0)
-        .map(|i| {
+/// What holds each node: the weight of its data against the curvature, none where there are no data, and the value that they ask for.
+struct Pins {
+    weight: Vec<f64>,
+    target: Vec<f64>,
+}
+
+impl Pins {
+    /// `weight` is that of one datum.
+    fn new(bins: &[Bin], weight: f64) -> Self {
+        let of = |b: &Bin| if b.count > 0 { weight * f64::from(b.count) } else { 0.0 };
+        Self { weight: bins.iter().map(of).collect(), target: vec![0.0; bins.len()] }
+    }
+
+    /// Brings the targets up to date: the mean of the data, moved to the node along the surface. Data of infinite weight are taken over.
+    fn set(&mut self, surface: &mut [f64], bins: &[Bin], columns: usize, rows: usize) {
+        let slope = |low: f64, high: f64, cells: usize| if cells > 0 { (high - low) / cells as f64 } else { 0.0 };
+        for (i, bin) in bins.iter().enumerate().filter(|(_, bin)| bin.count > 0) {
             let (r, c) = (i / columns, i % columns);
             let (c0, c1) = (c.saturating_sub(1), (c + 1).min(columns - 1));
             let (r0, r1) = (r.saturating_sub(1), (r + 1).min(rows - 1));
             let gx = slope(surface[r * columns + c0], surface[r * columns + c1], c1 - c0);
             let gy = slope(surface[r0 * columns + c], surface[r1 * columns + c], r1 - r0);
-            (i, bins[i].value - bins[i].away[0] * gx - bins[i].away[1] * gy)
-        })
-        .collect();
-    for (i, value) in pinned {
-        surface[i] = value;
+            self.target[i] = bin.value - bin.away[0] * gx - bin.away[1] * gy;
+        }
+        for ((value, weight), target) in surface.iter_mut().zip(&self.weight).zip(&self.target) {
+            if weight.is_infinite() {
+                *value = *target;
+            }
+        }
     }
 }
 
-fn relax(surface: &mut [f64], bins: &[Bin], columns: usize, rows: usize, aspect: f64) {
+fn relax(surface: &mut [f64], pins: &Pins, columns: usize, rows: usize, aspect: f64) {
     let (ax, ay) = (1.0 / (aspect * aspect), 1.0);
     let across = 4.0 * ax * ax + 4.0 * ax * ay;
     let along = 4.0 * ay * ay + 4.0 * ax * ay;
@@ -177,10 +196,11 @@ fn relax(surface: &mut [f64], bins: &[Bin], columns: usize, rows: usize, aspect:
         let inner_row = r >= 2 && r + 2 < rows;
         for c in 0..columns {
             let i = r * columns + c;
-            if bins[i].count > 0 {
+            let held = pins.weight[i];
+            if held.is_infinite() {
                 continue;
             }
-            let value = if inner_row && c >= 2 && c + 2 < columns {
+            let free = if inner_row && c >= 2 && c + 2 < columns {
                 let (up, down) = (i + columns, i - columns);
                 (across * (surface[i - 1] + surface[i + 1]) + along * (surface[down] + surface[up])
                     - 2.0 * ax * ay * (surface[down - 1] + surface[down + 1] + surface[up - 1] + surface[up + 1])
@@ -208,6 +228,7 @@ fn relax(surface: &mut [f64], bins: &[Bin], columns: usize, rows: usize, aspect:
                 }
                 if weight > 0.0 { sum / weight } else { surface[i] }
             };
+            let value = (centre * free + held * pins.target[i]) / (centre + held);
             surface[i] += RELAXATION * (value - surface[i]);
         }
     }
@@ -300,7 +321,7 @@ mod tests {
             y.push(b);
             v.push(3.0 + 0.5 * a - 0.25 * b);
         }
-        let surface = minimum_curvature([&x, &y, &v], &axis, &axis, 1.0, 400, &Quiet).unwrap();
+        let surface = minimum_curvature([&x, &y, &v], &axis, &axis, 1.0, f64::INFINITY, 400, &Quiet).unwrap();
         // The border is harmonic where data are wanting, which a sloping plane is not; the further in the nearer.
         let mut worst = [0.0_f64; 2];
         for r in 3..18 {
@@ -318,8 +339,10 @@ mod tests {
         // Two heights along the middle column and none elsewhere: stretched cells pull the far columns less.
         let axis = Axis::new(0.0, 1.0, 17).unwrap();
         let (x, y, v) = ([8.0, 8.0, 0.0, 16.0], [4.0, 12.0, 8.0, 8.0], [0.0, 0.0, 1.0, 1.0]);
-        let at = |aspect: f64| minimum_curvature([&x, &y, &v], &axis, &axis, aspect, 4000, &Quiet).unwrap();
-        let turned = |aspect: f64| minimum_curvature([&y, &x, &v], &axis, &axis, aspect, 4000, &Quiet).unwrap();
+        let at =
+            |aspect: f64| minimum_curvature([&x, &y, &v], &axis, &axis, aspect, f64::INFINITY, 4000, &Quiet).unwrap();
+        let turned =
+            |aspect: f64| minimum_curvature([&y, &x, &v], &axis, &axis, aspect, f64::INFINITY, 4000, &Quiet).unwrap();
         let (wide, tall) = (at(2.0), turned(0.5));
         let mut worst = 0.0_f64;
         for r in 0..17 {
@@ -352,7 +375,7 @@ mod tests {
     #[test]
     fn points_off_the_grid_are_refused() {
         let axis = Axis::new(0.0, 1.0, 5).unwrap();
-        assert!(minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, 10, &Quiet).is_err());
+        assert!(minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, f64::INFINITY, 10, &Quiet).is_err());
         assert!(distance_to_data(&[90.0], &[90.0], &axis, &axis, [1.0, 1.0]).is_err());
     }
 }

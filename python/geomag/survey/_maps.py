@@ -1,0 +1,146 @@
+"""Maps that know their errors: from lines, from a grid with its lines, from a grid and a word on its lines."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomag._errors import InvalidInputError
+from geomag._geomag import GridMap, _distance_to_data
+from geomag.survey._learn import ErrorModel, Law, Progress, layered, learn_errors, sigma_of
+from geomag.survey._lines import Array, Lines
+from geomag.survey._surface import Axes, features, grid_lines, weight_of
+
+#: Where the line spacing is all that is known (`with_line_spacing`): mean distance to the data in line spacings; displacement
+#: (b of the formula), correlation length and registration in such distances. The same for every survey; from the two of
+#: docs/calibration-report.md, for grids by linear interpolation, the worse of the common methods.
+SPACING_DISTANCE = 0.25
+SPACING_DISPLACEMENT = 0.75
+SPACING_CORRELATION = 2.25
+SPACING_REGISTRATION = 0.15
+
+
+def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
+    """Return the map with the sigma and the error model that its lines give it.
+
+    `grid` is any map made from `lines`; nodes further than 4 line spacings from a datum become holes, because nothing was learnt
+    about them.
+    """
+    axes = Axes.of(grid)
+    distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
+    values = np.where(distance <= 4 * model.line_spacing_m, np.asarray(grid.values, dtype=float), np.nan)
+    gradient, curvature = features(values, distance, axes)
+    law = Law(model.noise, 0.5 * model.line_spacing_m, axes.cell)
+    sigma = sigma_of(gradient, curvature, distance, law, model.floor, model.displacement, model.curvature)
+    return _carrying(grid, values, sigma, distance, model)
+
+
+def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model: ErrorModel) -> GridMap:
+    """`grid` with other values, their sigma and an error model."""
+    out, distance = layered(grid, values, sigma, distance)
+    return out.with_error_model(
+        nu=model.nu,
+        scale_spread=model.scale_spread,
+        correlation=model.correlation,
+        registration=model.registration,
+        distance_m=distance,
+    )
+
+
+def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:
+    """Return the map with errors that are typical of a survey with that distance between its lines.
+
+    For a grid whose lines are not at hand: reports state the spacing. Its errors are taken as 0.75 G D at every node, with G the
+    local root mean square gradient and D a quarter of the spacing, correlated over 2.25 D and displaced by 0.15 D: rougher than
+    what `map_from_lines` learns, which knows where the lines ran. Raises `InvalidInputError` for a spacing that is not a
+    number above zero, for a map of fewer than 3 x 3 nodes and for one without neighbouring values. Source: geomag's own, see docs/calibration-report.md.
+
+    Examples
+    --------
+    >>> import numpy as np, geomag
+    >>> from geomag.survey import with_line_spacing
+    >>> axis = np.arange(0.0, 5000.0, 50.0)
+    >>> grid = geomag.GridMap(np.sin(axis / 300) * 80 + np.cos(axis[:, None] / 400) * 60, axis, axis)
+    >>> grid = with_line_spacing(grid, 200.0)
+    >>> bool(np.nanmax(grid.sigma) < 15)
+    True
+    """
+    if not (np.isfinite(line_spacing_m) and line_spacing_m > 0):
+        raise InvalidInputError(f"line_spacing_m: needed a number > 0, got {line_spacing_m}")
+    values = np.asarray(grid.values, dtype=float)
+    if min(values.shape) < 3:
+        raise InvalidInputError(f"map: needed at least 3 x 3 nodes, got {values.shape[0]} x {values.shape[1]}")
+    if not np.any(np.isfinite(np.add(*np.gradient(values)))):
+        raise InvalidInputError("map: needed neighbouring nodes with values, to take a gradient from, got none")
+    distance_m = SPACING_DISTANCE * float(line_spacing_m)
+    distance = np.where(np.isfinite(values), distance_m, np.nan)
+    gradient, _ = features(values, distance, Axes.of(grid))
+    model = ErrorModel(
+        noise=0.0,
+        floor=0.0,
+        displacement=SPACING_DISPLACEMENT,
+        curvature=0.0,
+        correlation=SPACING_CORRELATION,
+        registration=SPACING_REGISTRATION,
+        line_spacing_m=float(line_spacing_m),
+        windows=0,
+        loss=float("nan"),
+    )
+    return _carrying(grid, values, model.displacement * gradient * distance, distance, model)
+
+
+def map_from_lines(
+    lines: Lines,
+    *,
+    spacing: float | tuple[float, float] | None = None,
+    grid: GridMap | None = None,
+    method: str = "minimum_curvature",
+    smoothing_m: float | None = None,
+    max_distance_m: float | None = None,
+    model: ErrorModel | None = None,
+    folds: int = 3,
+    seed: int = 0,
+    progress: Progress = None,
+) -> GridMap:
+    """Survey lines to a map with its sigma and error model, in one call.
+
+    Parameters
+    ----------
+    lines : the survey (see `Lines`, `read_lines`).
+    spacing : node spacing in map units, one number or (x, y); an eighth of the line spacing by default, coarser for a
+        map of over 1.5 million nodes.
+    grid : a map already made from these lines; it is kept as it is and given its errors.
+    method : 'minimum_curvature' (needs NumPy alone), 'linear' or 'cubic' on Delaunay triangles (needs SciPy).
+    smoothing_m : length over which the map is smoothed, metres (minimum curvature; waves of 2 pi times that length are halved); 0 honours
+        every reading. By default the lines say: 0 unless lines that are left out clearly fit a smoother map better.
+    max_distance_m : nodes further from any datum are holes; 2.5 line spacings by default.
+    model : errors learnt before (`learn_errors`), to be used instead of learning them.
+    folds, seed : of the cross-validation.
+    progress : callable (done, total), told about the learning.
+
+    Raises `TooFewSamplesError` where the lines are too few to learn from, `InvalidInputError` for options that do not go together.
+    """
+    if model is not None and smoothing_m is not None:
+        raise InvalidInputError(f"smoothing_m: needed none beside a model, which has its own, got {smoothing_m}")
+    if model is not None and model.smoothing_m and grid is None and method != "minimum_curvature":
+        raise InvalidInputError(
+            f"model: needed one without smoothing for method '{method}', got {model.smoothing_m:g} m"
+        )
+    if model is None:
+        model = learn_errors(
+            lines,
+            spacing=spacing,
+            grid=grid,
+            method=method,
+            smoothing_m=smoothing_m,
+            folds=folds,
+            seed=seed,
+            progress=progress,
+        )
+    if grid is None:
+        axes = Axes.over(lines, spacing)
+        weight = weight_of(lines, axes, model.smoothing_m, model.line_spacing_m)
+        surface, distance = grid_lines([lines], axes, method, weight)
+        reach = 2.5 * model.line_spacing_m if max_distance_m is None else max_distance_m
+        xs, ys = axes.coordinates()
+        grid = GridMap(np.where(distance <= reach, surface, np.nan), xs, ys, geographic=lines.geographic)
+    return with_errors(grid, lines, model)

@@ -1,0 +1,144 @@
+"""From lines to a surface over a grid, and what its steepness and its distance to the data are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from geomag._errors import InvalidInputError
+from geomag._geomag import GridMap, _distance_to_data, _minimum_curvature
+from geomag._optional import require
+from geomag.survey._lines import Array, Lines, legs_m, line_spacing_m
+
+#: Nodes of a map whose spacing is chosen here.
+MOST_NODES = 1_500_000
+
+
+def nodes(c: Array, step: float) -> tuple[float, int]:
+    """First of the whole multiples of `step` that enclose every coordinate, and how many there are, at least 2."""
+    low, high = float(c.min()), float(c.max())
+    first = float(np.floor(low / step) * step)
+    # A quotient may round up to a whole number that the coordinate does not reach, or down to one that it passes.
+    first -= step * (first > low)
+    count = max(int(np.ceil((high - first) / step)) + 1, 2)
+    return first, count + (first + step * (count - 1) < high)
+
+
+@dataclass(frozen=True)
+class Axes:
+    x: tuple[float, float, int]
+    y: tuple[float, float, int]
+    cell_m: tuple[float, float]
+
+    @staticmethod
+    def over(lines: Lines, spacing: float | tuple[float, float] | None) -> Axes:
+        east, north = lines.scale_m()
+        if spacing is None:
+            # An eighth of the gap lets a feature be placed within it; a country is gridded more coarsely.
+            area = np.ptp(lines.x) * east * np.ptp(lines.y) * north
+            step = max(line_spacing_m(lines) / 8, float(np.sqrt(area / MOST_NODES)))
+            sx, sy = step / east, step / north
+        else:
+            try:
+                sx, sy = np.broadcast_to(np.asarray(spacing, dtype=float), 2)
+            except (TypeError, ValueError) as error:
+                raise InvalidInputError(f"spacing: needed a number or a pair (x, y), got {spacing!r}") from error
+        if not (0 < sx < np.inf and 0 < sy < np.inf):
+            raise InvalidInputError(f"spacing: needed finite numbers > 0, got {spacing}")
+        (x0, nx), (y0, ny) = nodes(lines.x, float(sx)), nodes(lines.y, float(sy))
+        if nx * ny > 50_000_000:
+            raise InvalidInputError(f"spacing: needed a grid of at most 50,000,000 nodes, got {ny} x {nx}")
+        return Axes((x0, float(sx), nx), (y0, float(sy), ny), (float(sx * east), float(sy * north)))
+
+    @staticmethod
+    def of(grid: GridMap) -> Axes:
+        x, y = grid.x, grid.y
+        return Axes((float(x[0]), grid.spacing[0], len(x)), (float(y[0]), grid.spacing[1], len(y)), grid.spacing_m)
+
+    @property
+    def cell(self) -> float:
+        return float(np.sqrt(self.cell_m[0] * self.cell_m[1]))
+
+    def coordinates(self) -> tuple[Array, Array]:
+        x = np.asarray(self.x[0] + self.x[1] * np.arange(self.x[2]), dtype=np.float64)
+        y = np.asarray(self.y[0] + self.y[1] * np.arange(self.y[2]), dtype=np.float64)
+        return x, y
+
+
+def grid_lines(lines: list[Lines], axes: Axes, method: str, weight: float = np.inf) -> tuple[Array, Array]:
+    """Values and distances to the data at the nodes; a finite `weight` of each datum lets the surface miss it."""
+    x, y, values = (np.concatenate([getattr(one, name) for one in lines]) for name in ("x", "y", "values"))
+    distance = _distance_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m)
+    if method == "minimum_curvature":
+        aspect = axes.cell_m[0] / axes.cell_m[1]
+        return _minimum_curvature(x, y, values, axes.x, axes.y, aspect=aspect, weight=weight), distance
+    if method not in ("linear", "cubic"):
+        raise InvalidInputError(f"method: needed 'minimum_curvature', 'linear' or 'cubic', got '{method}'")
+    interpolate = require("scipy.interpolate", "survey", f"gridding by method '{method}'")
+    # Means over blocks of one cell keep the triangles from being needles along the lines.
+    block = np.column_stack([np.floor((x - axes.x[0]) / axes.x[1]), np.floor((y - axes.y[0]) / axes.y[1])])
+    _, inverse = np.unique(block, axis=0, return_inverse=True)
+    inverse = inverse.ravel()
+    count = np.bincount(inverse)
+    scale = np.array([axes.cell_m[0] / axes.x[1], axes.cell_m[1] / axes.y[1]])
+    points = np.column_stack([np.bincount(inverse, x), np.bincount(inverse, y)]) / count[:, None] * scale
+    means = np.bincount(inverse, values) / count
+    kind = interpolate.LinearNDInterpolator if method == "linear" else interpolate.CloughTocher2DInterpolator
+    xs, ys = axes.coordinates()
+    return np.asarray(kind(points, means)(*np.meshgrid(xs * scale[0], ys * scale[1])), dtype=float), distance
+
+
+def weight_of(lines: Lines, axes: Axes, smoothing_m: float, spacing_m: float) -> float:
+    """Weight of a datum that damps waves of the length 2 pi `smoothing_m` to a half, where data lie everywhere as densely as on the mean."""
+    if smoothing_m == 0:
+        return np.inf
+    length = sum(float(legs_m(one.x, one.y, lines.scale_m()).sum()) for one in lines.split())
+    density = lines.x.size / (length * spacing_m)
+    return axes.cell_m[1] ** 3 / (axes.cell_m[0] * density * smoothing_m**4)
+
+
+def smooth(values: Array, known: npt.NDArray[np.bool_], radius: float) -> Array:
+    """Mean over about a normal law of standard deviation `radius` cells (three boxes), of the known nodes alone."""
+    half = max(1, round(np.sqrt(1 + 4 * radius**2) / 2 - 0.5))
+
+    def box(a: Array) -> Array:
+        for axis in (0, 1):
+            padded = np.pad(a, [(half + 1, half) if d == axis else (0, 0) for d in (0, 1)])
+            total = np.cumsum(padded, axis=axis)
+            n = a.shape[axis]
+            upper = np.take(total, np.arange(n) + 2 * half + 1, axis=axis)
+            a = upper - np.take(total, np.arange(n), axis=axis)
+        return np.asarray(a / (2 * half + 1) ** 2, dtype=np.float64)
+
+    weight = known.astype(float)
+    filled = np.where(known, values, 0.0)
+    for _ in range(3):
+        filled, weight = box(filled), box(weight)
+    return np.where(known, filled / np.maximum(weight, 1e-12), np.nan)
+
+
+def features(surface: Array, distance: Array, axes: Axes) -> tuple[Array, Array]:
+    """Local root mean square gradient (per metre) and second derivative (per square metre)."""
+    known = np.isfinite(surface)
+    filled = np.where(known, surface, np.nan)
+    gy, gx = np.gradient(filled, axes.cell_m[1], axes.cell_m[0])
+    gxx = np.gradient(gx, axes.cell_m[0], axis=1)
+    gyy = np.gradient(gy, axes.cell_m[1], axis=0)
+    radius = max(2 * float(np.median(distance[known])) / axes.cell, 1.0)
+    first, second = gx**2 + gy**2, gxx**2 + gyy**2
+    gradient = np.sqrt(np.maximum(smooth(first, np.isfinite(first), radius), 0))
+    curvature = np.sqrt(np.maximum(smooth(second, np.isfinite(second), radius), 0))
+    # Next to a hole there is no difference to take; the largest nearby one stands in.
+    worst_g, worst_c = np.nanquantile(gradient, 0.9), np.nanquantile(curvature, 0.9)
+    gradient = np.where(known & ~np.isfinite(gradient), worst_g, gradient)
+    curvature = np.where(known & ~np.isfinite(curvature), worst_c, curvature)
+    return gradient, curvature
+
+
+def nearest(layer: Array, axes: Axes, x: Array, y: Array) -> Array:
+    i = np.clip(np.round((x - axes.x[0]) / axes.x[1]).astype(int), 0, axes.x[2] - 1)
+    j = np.clip(np.round((y - axes.y[0]) / axes.y[1]).astype(int), 0, axes.y[2] - 1)
+    return cast(Array, layer[j, i])
