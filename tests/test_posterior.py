@@ -396,8 +396,8 @@ def test_smoothed_lines_keep_the_trend_and_lose_the_noise():
 
 
 def test_errors_that_go_together_further_than_usual_are_learnt(monkeypatch):
-    monkeypatch.setattr("geomag.survey.CORRELATIONS", (0.2, 0.25))
-    monkeypatch.setattr("geomag.survey.SHARES", (0.5,))
+    monkeypatch.setattr("geomag.survey._learn.CORRELATIONS", (0.2, 0.25))
+    monkeypatch.setattr("geomag.survey._learn.SHARES", (0.5,))
     model = learn_errors(survey(), seed=1)
     tried = [t["correlation"] for t in model.trials]
     # Longer and longer ones, until the longest is not the best.
@@ -461,6 +461,32 @@ def test_wilson_interval():
     low, high = wilson(1, 100)
     assert (low, high) == (pytest.approx(0.0018, abs=3e-4), pytest.approx(0.0545, abs=3e-4))
     assert wilson(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("bias_sigma", [0.0, None])
+def test_how_far_off_an_outlier_is_tells_nothing(grid, bias_sigma):
+    track = flight(grid, (430.0, -280.0), n=40, sigma=0.5, seed=5)
+    risks, places = [], []
+    for off in (0.0, 30.0, 60.0, 600.0):
+        values = np.array(track.values)
+        values[[6, 17, 31]] += off * np.array([1, -1, 1])
+        fix = geomag.match_posterior(
+            grid,
+            geomag.Track(track.x, track.y, values),
+            sigma=0.5,
+            half_width=1000,
+            tolerance_m=6,
+            max_risk=0.5,
+            bias_sigma=bias_sigma,
+        )
+        risks.append(fix.risk)
+        places.append(fix.offset)
+        assert fix.ok
+    # Three samples less than there were, and no more than that.
+    assert np.ptp(risks[1:]) <= 1e-3 * risks[1]
+    assert np.ptp(places[1:], axis=0).max() < 1e-3
+    assert risks[0] < risks[1] < 2 * risks[0]
+    assert np.hypot(*np.subtract(places[1], places[0])) < 1
 
 
 @pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")

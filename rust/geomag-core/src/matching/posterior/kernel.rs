@@ -19,7 +19,7 @@ use std::ops::Range;
 use super::model::{LEVELS, Level};
 use super::patch::{BEND, Cells, DISTANCE, Patch, Place, VALUE, VARIANCE};
 pub(super) use closely::{Detail, detail};
-use integral::{nuisances, one_bias, weigh};
+use integral::{Tails, nuisances, one_bias, weigh};
 
 /// Candidates handled together, so that the inner loops are vectors.
 pub(super) const LANES: usize = 16;
@@ -265,9 +265,9 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
         };
         weighed = Some((level.factor, lane));
         if setup.shapes.is_empty() {
-            one_bias::<BOUND>(setup, scratch, level.nu as f32, turns, &mut bias, &mut lane);
+            one_bias::<BOUND>(setup, scratch, Tails::of(level), turns, &mut bias, &mut lane);
         } else {
-            let log = nuisances::<BOUND>(setup, scratch, level.nu as f32, turns, &mut theta);
+            let log = nuisances::<BOUND>(setup, scratch, Tails::of(level), turns, &mut theta);
             for l in 0..LANES {
                 lane[l] += log[l];
             }

@@ -13,6 +13,9 @@ const SENSOR_NU: f64 = 10.0;
 /// all fixes, and a single outlier in a track tells that it does not hold there.
 const NORMAL_NU: f64 = 1000.0;
 const NORMAL: f64 = 0.97;
+/// Where the sensor's error is all there is: the greatest loss of a sample, of one outlier in a hundred spread over a hundred standard
+/// deviations. Tails that go on falling would let an outlier choose between places.
+const MOST_LOSS: f64 = 8.0;
 /// What an error model says where there is none, all from the two surveys of docs/calibration-report.md, taken together: the
 /// spread of the error level of one track,
 const DEFAULT_SPREAD: f64 = 0.35;
@@ -61,7 +64,8 @@ pub struct PosteriorOptions {
     pub scale_sigma: f64,
     /// Standard deviation of the position jitter of one sample, metres.
     pub position_sigma_m: f64,
-    /// Degrees of freedom of the errors; `None` takes the map's own, or 3; where the sensor's error is all, 10 and the normal law.
+    /// Degrees of freedom of the errors; `None` takes the map's own, or 3; where the sensor's error is all, 10 and the normal law, weighed,
+    /// and no sample costing more than 8.
     pub nu: Option<f64>,
     /// Least share of the samples that a candidate must have on the map.
     pub min_overlap: f64,
@@ -158,6 +162,8 @@ pub(super) struct Level {
     pub factor: f64,
     /// Degrees of freedom.
     pub nu: f64,
+    /// Greatest loss of one sample, infinite where there is none.
+    pub most_loss: f64,
     /// Logarithm of its prior probability.
     pub log_prior: f64,
 }
@@ -197,10 +203,11 @@ impl Noise {
         let of_factor = |&(factor, log_prior): &(f64, f64)| Level {
             factor,
             nu: if factor == 0.0 { sensor_nu } else { map_nu },
+            most_loss: f64::INFINITY,
             log_prior,
         };
         let mut levels: Vec<Level> = if exact && options.nu.is_none() {
-            let level = |nu: f64, prior: f64| Level { factor: 0.0, nu, log_prior: prior.ln() };
+            let level = |nu: f64, prior: f64| Level { factor: 0.0, nu, most_loss: MOST_LOSS, log_prior: prior.ln() };
             vec![level(SENSOR_NU, 1.0 - NORMAL), level(NORMAL_NU, NORMAL)]
         } else if exact {
             vec![of_factor(&(0.0, 0.0))]
@@ -248,11 +255,15 @@ impl Noise {
                 self.levels.iter().copied().fold(self.levels[0], |a, b| if b.factor > a.factor { b } else { a });
             return vec![Level { log_prior: 0.0, ..worst }];
         }
-        let nu = self.levels[self.typical].nu;
+        let typical = self.levels[self.typical];
         let z = (-2 * CHECKED..=2 * CHECKED).map(|i| 0.5 * f64::from(i));
         let total = z.clone().map(|z| (-0.5 * z * z).exp()).sum::<f64>().ln();
-        z.map(|z| Level { factor: (CHECKED_SPREAD * self.spread * z).exp(), nu, log_prior: -0.5 * z * z - total })
-            .collect()
+        z.map(|z| Level {
+            factor: (CHECKED_SPREAD * self.spread * z).exp(),
+            log_prior: -0.5 * z * z - total,
+            ..typical
+        })
+        .collect()
     }
 
     /// Displacement of features common to a whole track, per axis, metres.

@@ -1,7 +1,7 @@
 //! One candidate looked at closely: its parameters, its misfit, what it tells of the offset.
 
 use super::super::goodness::MISS;
-use super::integral::{derivatives, nuisances, weigh};
+use super::integral::{Tails, derivatives, nuisances, weigh};
 use super::{LANES, Level, MOST, Scratch, Setup, WIDENING, fill};
 
 /// What one candidate looks like under one error level.
@@ -48,7 +48,7 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
     weigh(scratch, (level.factor * level.factor) as f32);
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let mut theta = [[0.0; LANES]; MOST];
-    nuisances::<false>(setup, scratch, level.nu as f32, &WIDENING, &mut theta);
+    nuisances::<false>(setup, scratch, Tails::of(&level), &WIDENING, &mut theta);
     let nu = level.nu;
     let (mut misfit, mut known, mut misses) = (0.0, 0, 0);
     let size = with_bias + setup.shapes.len();

@@ -1,6 +1,6 @@
 //! The log-likelihood of a block of candidates with bias and other nuisance parameters integrated out.
 
-use super::{LANES, Lane, MOST, Row, Scratch, Setup, Wide};
+use super::{LANES, Lane, Level, MOST, Row, Scratch, Setup, Wide};
 
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
 const PRODUCT: usize = 4;
@@ -8,6 +8,37 @@ const PRODUCT: usize = 4;
 const LARGEST: f32 = 1e9;
 /// Share of a sample inside its cell's reach in the step of a bound's bias: it does not pull, but must not let go at once.
 const INSIDE: f32 = 0.3;
+
+/// Degrees of freedom with which parameters are sought, at first, under a law whose outliers tell nothing: it must find them from afar.
+const SEEKING_NU: f64 = 10.0;
+
+/// The law of one sample: a Student-t loss up to a greatest one.
+#[derive(Clone, Copy)]
+pub(super) struct Tails {
+    nu: f32,
+    seeking_nu: f32,
+    /// Greatest 1 + z^2 / nu, and the z^2 of it.
+    most: f32,
+    cut: f32,
+}
+
+impl Tails {
+    pub fn of(level: &Level) -> Self {
+        let nu = level.nu as f32;
+        if level.most_loss.is_infinite() {
+            return Self { nu, seeking_nu: nu, most: LARGEST, cut: f32::INFINITY };
+        }
+        let most = (2.0 * level.most_loss / (level.nu + 1.0)).exp().min(f64::from(LARGEST));
+        let cut = (level.nu * (most - 1.0)) as f32;
+        Self { nu, seeking_nu: level.nu.min(SEEKING_NU) as f32, most: most as f32, cut }
+    }
+
+    /// Degrees of freedom of a turn of the reweighting, and the z^2 beyond which a sample has no weight in it.
+    #[inline(always)]
+    fn turn(self, last: bool) -> (f32, f32) {
+        if last { (self.nu, self.cut) } else { (self.seeking_nu, f32::INFINITY) }
+    }
+}
 
 /// Natural logarithm of positive normal numbers to 2e-7: exponent and the series of 2 artanh((m - 1) / (m + 1)).
 #[inline(always)]
@@ -57,7 +88,7 @@ fn beyond<const BOUND: bool>(e: f32, reach: f32) -> f32 {
 pub(super) fn one_bias<const BOUND: bool>(
     setup: &Setup<'_>,
     scratch: &Scratch,
-    nu: f32,
+    tails: Tails,
     widening: &[f32],
     bias: &mut Lane,
     total: &mut Wide,
@@ -68,6 +99,7 @@ pub(super) fn one_bias<const BOUND: bool>(
         for (turn, &wide) in widening.iter().enumerate() {
             let last = turn + 2 >= widening.len();
             let (mut weights, mut sums) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+            let (nu, cut) = tails.turn(last);
             let scale = (nu + 1.0) * wide;
             for row in &scratch.rows {
                 for l in 0..LANES {
@@ -81,11 +113,12 @@ pub(super) fn one_bias<const BOUND: bool>(
                         } else {
                             (whole, p / (1.0 + p * row.reach[l] * row.reach[l] * (1.0 / 3.0)), 1.0)
                         };
-                        let w = scale * p / (nu * wide + e * e * p);
+                        let w = if e * e * p > cut { 0.0 } else { scale * p / (nu * wide + e * e * p) };
                         weights[l] += w * share;
                         sums[l] += w * e;
                     } else {
-                        let w = scale * p / (nu * wide + whole * whole * p);
+                        let z2 = whole * whole * p;
+                        let w = if z2 > cut { 0.0 } else { scale * p / (nu * wide + z2) };
                         weights[l] += w;
                         sums[l] += w * whole;
                     }
@@ -99,12 +132,13 @@ pub(super) fn one_bias<const BOUND: bool>(
     let mut product = [1.0_f32; LANES];
     let mut logs = [0.0_f64; LANES];
     let mut information = [0.0_f32; LANES];
+    let Tails { nu, most, .. } = tails;
     let per_nu = 1.0 / nu;
     for (k, row) in scratch.rows.iter().enumerate() {
         for l in 0..LANES {
             let e = beyond::<BOUND>(row.residual[l] - bias[l], row.reach[l]);
             let p = row.precision[l];
-            product[l] *= (1.0 + e * e * p * per_nu).min(LARGEST);
+            product[l] *= (1.0 + e * e * p * per_nu).min(most);
             information[l] += p;
         }
         if k % PRODUCT == PRODUCT - 1 || k + 1 == n {
@@ -158,7 +192,7 @@ pub(super) fn derivatives(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usi
 pub(super) fn nuisances<const BOUND: bool>(
     setup: &Setup<'_>,
     scratch: &Scratch,
-    nu: f32,
+    tails: Tails,
     turns: &[f32],
     theta: &mut [Wide; MOST],
 ) -> Wide {
@@ -176,6 +210,7 @@ pub(super) fn nuisances<const BOUND: bool>(
     for (turn, wide) in turns.iter().copied().chain([0.0]).enumerate() {
         let expected = turn == turns.len();
         let last = turn + 2 >= turns.len();
+        let (nu, cut) = tails.turn(last);
         let at = narrow(theta);
         let mut sums = [[[0.0_f32; LANES]; MOST]; MOST];
         let mut pulls = [[0.0_f32; LANES]; MOST];
@@ -196,7 +231,8 @@ pub(super) fn nuisances<const BOUND: bool>(
                     pull[l] = weight[l] * e;
                 } else {
                     e = beyond::<BOUND>(e, row.reach[l]);
-                    let w = (nu + 1.0) * p * wide / (nu * wide + e * e * p);
+                    let z2 = e * e * p;
+                    let w = if z2 > cut { 0.0 } else { (nu + 1.0) * p * wide / (nu * wide + z2) };
                     pull[l] = w * e;
                     weight[l] = if BOUND && e == 0.0 { INSIDE * w } else { w };
                 }
@@ -231,6 +267,7 @@ pub(super) fn nuisances<const BOUND: bool>(
             }
         }
     }
+    let Tails { nu, most, .. } = tails;
     let at = narrow(theta);
     let mut product = [1.0_f32; LANES];
     let mut log = [0.0_f64; LANES];
@@ -242,7 +279,7 @@ pub(super) fn nuisances<const BOUND: bool>(
                 e -= h[i][l] * at[i][l];
             }
             let e = beyond::<BOUND>(e, row.reach[l]);
-            product[l] *= (1.0 + e * e * row.precision[l] / nu).min(LARGEST);
+            product[l] *= (1.0 + e * e * row.precision[l] / nu).min(most);
         }
         if k % PRODUCT == PRODUCT - 1 || k + 1 == n {
             for l in 0..LANES {
