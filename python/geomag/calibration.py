@@ -22,6 +22,7 @@ import numpy.typing as npt
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
 from geomag._optional import require
+from geomag._ranges import above, at_least
 from geomag._statistics import wilson
 from geomag.survey import Lines, folds_of, map_from_lines
 from geomag.survey._lines import windows_of
@@ -147,13 +148,6 @@ class Calibration:
         save(ax.figure, path)  # type: ignore[arg-type]
 
 
-def _check(least: float, least_included: bool = False, **numbers: float) -> None:
-    """Refuse what is not finite or not above (or at) the least."""
-    for name, value in numbers.items():
-        if not (np.isfinite(value) and (value > least or (least_included and value == least))):
-            raise InvalidInputError(f"{name}: needed a number {'>=' if least_included else '>'} {least:g}, got {value}")
-
-
 def one_sided_limit(wrong: float, n: int, independent: float = 1.0) -> float:
     """Upper 95 % limit of a binomial share (Wilson) of `n` trials of which `independent` is the share that counts."""
     return wilson(wrong * independent, n * independent, 1.645)[1]
@@ -242,9 +236,9 @@ def calibrate_lines(
     `half_width_m` per axis, are matched. At most `most` windows, drawn at random; a window shares `overlap` of its samples with
     the next, and the intervals of the answer are those of the windows that would not.
     """
-    _check(0, half_width_m=half_width_m, tolerance_m=tolerance_m, spacing_m=spacing_m)
-    _check(2, True, samples=samples, folds=folds)
-    _check(folds, True, most=most)
+    above(0, half_width_m=half_width_m, tolerance_m=tolerance_m, spacing_m=spacing_m)
+    at_least(2, samples=samples, folds=folds)
+    at_least(folds, most=most)
     if not 0 <= overlap < 1:
         raise InvalidInputError(f"overlap: needed a share in [0, 1), got {overlap}")
     pieces = lines.split()
@@ -328,9 +322,9 @@ def calibrate_simulated(
     `drift_m` / sqrt(3) per axis (JCGM 100:2008, 4.3.7), though every flight drifts by the whole of it.
     `heading_sigma_deg` and `drift_sigma_m` tell it something else.
     """
-    _check(0, half_width_m=half_width_m, tolerance_m=tolerance_m)
-    _check(1, True, samples=samples, trials=trials)
-    _check(0, True, sigma=sigma, bias=bias, outlier=outlier, heading_deg=heading_deg, drift_m=drift_m)
+    above(0, half_width_m=half_width_m, tolerance_m=tolerance_m)
+    at_least(1, samples=samples, trials=trials)
+    at_least(0, sigma=sigma, bias=bias, outlier=outlier, heading_deg=heading_deg, drift_m=drift_m)
     if not 0 <= outlier_share <= 1:
         raise InvalidInputError(f"outlier_share: needed a share in [0, 1], got {outlier_share}")
     options = {"heading_sigma_deg": heading_deg, "drift_sigma_m": drift_m / np.sqrt(3)} | options
@@ -453,8 +447,8 @@ def suitability(
     """Expected fixes over the map: `places` x `places` tracks a heading, centred on each place, `spacing_m` between samples."""
     if places < 1 or samples < 3:
         raise InvalidInputError(f"places, samples: needed at least 1 and 3, got {places} and {samples}")
-    _check(0, spacing_m=spacing_m, half_width_m=half_width_m)
-    _check(0, True, flights=flights)
+    above(0, spacing_m=spacing_m, half_width_m=half_width_m)
+    at_least(0, flights=flights)
     edges = [np.linspace(float(a[0]), float(a[-1]), places + 1) for a in (grid.x, grid.y)]
     x, y = (0.5 * (e[1:] + e[:-1]) for e in edges)
     tracks = []

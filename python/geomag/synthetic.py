@@ -31,6 +31,7 @@ from geomag._geomag import Path, SyntheticField, Track
 from geomag._geomag import draw_ins_error as _draw_ins_error
 from geomag._geomag import fly as _fly
 from geomag._metres import metres_per_unit
+from geomag._ranges import above, at_least
 from geomag.survey import Lines
 
 if TYPE_CHECKING:
@@ -339,16 +340,9 @@ def survey(
     (26, 9426)
     """
     sample_spacing_m = line_spacing_m / 10 if sample_spacing_m is None else sample_spacing_m
-    for name, value in (
-        ("line_spacing_m", line_spacing_m),
-        ("sample_spacing_m", sample_spacing_m),
-        ("tie_spacing_m", line_spacing_m if tie_spacing_m is None else tie_spacing_m),
-    ):
-        if not (math.isfinite(value) and value > 0):
-            raise InvalidInputError(f"{name}: needed a number > 0, got {value}")
-    for name, value in (("sigma", sigma), ("level_sigma", level_sigma), ("wander_m", wander_m)):
-        if not (math.isfinite(value) and value >= 0):
-            raise InvalidInputError(f"{name}: needed a number >= 0, got {value}")
+    above(0, line_spacing_m=line_spacing_m, sample_spacing_m=sample_spacing_m)
+    above(0, tie_spacing_m=line_spacing_m if tie_spacing_m is None else tie_spacing_m)
+    at_least(0, sigma=sigma, level_sigma=level_sigma, wander_m=wander_m)
     low, high = np.reshape(field.extent, (2, 2))
     scale = np.array(metres_per_unit(field.geographic, 0.5 * float(low[1] + high[1])))
     size = (high - low) * scale

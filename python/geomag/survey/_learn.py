@@ -9,6 +9,7 @@ import numpy as np
 
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many
+from geomag._ranges import at_least
 from geomag.survey._lines import (
     SHORTEST_WINDOW,
     WINDOW,
@@ -227,8 +228,8 @@ def learn_errors(
     better for it (0 with `grid`, and by methods other than minimum curvature, which have none). Raises `TooFewSamplesError` where fewer than 20 windows can be made and
     `InvalidInputError` for a length that is no number from 0 up. Source: geomag's own.
     """
-    if smoothing_m is not None and not 0 <= smoothing_m < np.inf:
-        raise InvalidInputError(f"smoothing_m: needed a number >= 0, got {smoothing_m}")
+    if smoothing_m is not None:
+        at_least(0, smoothing_m=smoothing_m)
     if smoothing_m and method != "minimum_curvature":
         raise InvalidInputError(f"smoothing_m: needed 0 with method '{method}', got {smoothing_m}")
     pieces = lines.split()

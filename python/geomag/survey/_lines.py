@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError, UnknownVariableError
 from geomag._metres import metres_per_unit
+from geomag._ranges import above
 from geomag.io import floats, read_table
 
 Array = npt.NDArray[np.float64]
@@ -136,8 +137,7 @@ def smooth_lines(lines: Lines, length_m: float) -> Lines:
     >>> round(float(np.std(smooth_lines(lines, 100.0).values - truth)), 1)
     0.5
     """
-    if not (np.isfinite(length_m) and length_m > 0):
-        raise InvalidInputError(f"length_m: needed a number > 0, got {length_m}")
+    above(0, length_m=length_m)
     scale = lines.scale_m()
     values = lines.values.copy()
     for rows in lines._rows():

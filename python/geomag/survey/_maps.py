@@ -6,6 +6,7 @@ import numpy as np
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, _distance_to_data
+from geomag._ranges import above
 from geomag.survey._learn import ErrorModel, Law, Progress, layered, learn_errors, sigma_of
 from geomag.survey._lines import Array, Lines
 from geomag.survey._surface import Axes, features, grid_lines, weight_of
@@ -64,8 +65,7 @@ def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:
     >>> bool(np.nanmax(grid.sigma) < 15)
     True
     """
-    if not (np.isfinite(line_spacing_m) and line_spacing_m > 0):
-        raise InvalidInputError(f"line_spacing_m: needed a number > 0, got {line_spacing_m}")
+    above(0, line_spacing_m=line_spacing_m)
     values = np.asarray(grid.values, dtype=float)
     if min(values.shape) < 3:
         raise InvalidInputError(f"map: needed at least 3 x 3 nodes, got {values.shape[0]} x {values.shape[1]}")
