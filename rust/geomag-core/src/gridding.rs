@@ -20,11 +20,12 @@ const ROUNDS: usize = 4;
 ///
 /// `aspect` is the cell's width over its height in metres. Nodes with data in their own cell take the mean of these, moved to
 /// the node along the surface's gradient; all others are relaxed until the surface between them has least curvature
-/// (`sweeps` Gauss-Seidel sweeps a round; 100 is plenty). That is a `weight` of infinity; a finite one lets the surface miss its data, so that
-/// the sum of `weight` times the misses squared and of the squared curvature (per cell height) is least: a smoothing spline. Nodes far from any datum have no meaning; mask them with
-/// [`distance_to_data`].
+/// (`sweeps` Gauss-Seidel sweeps a round; 100 is plenty). That is a `weight` of infinity; a finite one lets the surface miss
+/// its data, so that `weight` times the misses squared and the squared curvature (per cell height) together are least: a
+/// smoothing spline. Nodes far from any datum have no meaning; mask them with [`distance_to_data`].
 ///
 /// # Errors
+/// [`Error::Invalid`] for a weight that is not above zero;
 /// [`Error::Shape`] for unequal lengths, [`Error::NotFinite`], [`Error::TooFewSamples`] where no point lies on the grid,
 /// [`Error::Interrupted`].
 pub fn minimum_curvature(
@@ -228,7 +229,7 @@ fn relax(surface: &mut [f64], pins: &Pins, columns: usize, rows: usize, aspect: 
                 }
                 if weight > 0.0 { sum / weight } else { surface[i] }
             };
-            let value = (centre * free + held * pins.target[i]) / (centre + held);
+            let value = if held > 0.0 { (centre * free + held * pins.target[i]) / (centre + held) } else { free };
             surface[i] += RELAXATION * (value - surface[i]);
         }
     }

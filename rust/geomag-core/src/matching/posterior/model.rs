@@ -7,10 +7,10 @@ use crate::field::Field;
 
 /// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
-/// Tails of the sensor's own error where it has any: nearly normal, yet an outlier of any size counts for little.
+/// Tails of the sensor's own error where it has any: nearly normal, for one that is noisier than stated.
 const SENSOR_NU: f64 = 10.0;
 /// Tails of a sensor without any, and the prior probability that a track's is such: the normal law is worth some percent of
-/// all fixes, and a single outlier in a track tells that it does not hold there.
+/// all fixes.
 const NORMAL_NU: f64 = 1000.0;
 const NORMAL: f64 = 0.97;
 /// Where the sensor's error is all there is: the greatest loss of a sample, of one outlier in a hundred spread over a hundred standard
