@@ -101,7 +101,7 @@ def test_the_lines_say_whether_noise_is_taken_for_field(noisy):
 
 def test_smoothing_that_cannot_be_is_refused(noisy):
     _, lines = noisy["flat"]
-    for value in (-1.0, np.nan, np.inf):
+    for value in (-1.0, np.nan, np.inf, "wide"):
         with pytest.raises(geomag.InvalidInputError, match="smoothing_m: needed a number"):
             learn_errors(lines, smoothing_m=value)
     with pytest.raises(geomag.InvalidInputError, match="'linear'"):
