@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -129,12 +130,13 @@ def _fit_sigma(residuals: Array, gradient: Array, curvature: Array, distance: Ar
 
 @dataclass
 class _Fold:
+    """The map of some lines, and the windows on what was left out that it covers."""
+
+    lines: list[Lines]
+    axes: Axes
     base: GridMap
     distance: Array
-    gradient: Array
-    curvature: Array
     windows: list[Window]
-    misses: Array
 
     def errors(self) -> Iterator[tuple[Array, Array, Array]]:
         """Of every window: places that the map has a value for, and the errors there about their median."""
@@ -144,17 +146,22 @@ class _Fold:
             if ok.sum() >= SHORTEST_WINDOW // 2:
                 yield x[ok], y[ok], error[ok] - np.median(error[ok])
 
+    def misses(self) -> Array:
+        """How far the map is from its own lines."""
+        out: Array = np.concatenate([one.values - self.base.sample(one.x, one.y) for one in self.lines])
+        return out[np.isfinite(out)]
+
+    @cached_property
+    def features(self) -> tuple[Array, Array]:
+        """Gradient and second derivative of the map."""
+        return features(np.asarray(self.base.values, dtype=float), self.distance, self.axes)
+
 
 def _fold(kept: list[Lines], left: list[Window], axes: Axes, method: str, spacing_m: float, weight: float) -> _Fold:
-    """The map of some lines, and of the windows on what was left out those that it covers."""
     surface, distance = grid_lines(kept, axes, method, weight)
     surface = np.where(distance <= 4 * spacing_m, surface, np.nan)
-    gradient, curvature = features(surface, distance, axes)
-    xs, ys = axes.coordinates()
-    base = GridMap(surface, xs, ys, geographic=kept[0].geographic)
-    windows = [w for w in left if np.mean(np.isfinite(base.sample(w[0], w[1]))) >= 0.9]
-    misses = np.concatenate([one.values - base.sample(one.x, one.y) for one in kept])
-    return _Fold(base, distance, gradient, curvature, windows, misses[np.isfinite(misses)])
+    base = GridMap(surface, *axes.coordinates(), geographic=kept[0].geographic)
+    return _Fold(kept, axes, base, distance, [w for w in left if np.mean(np.isfinite(base.sample(w[0], w[1]))) >= 0.9])
 
 
 def _without_stretches(lines: list[Lines], every_m: float, length_m: float) -> list[Lines]:
@@ -184,8 +191,8 @@ def _losses(parts: list[_Fold]) -> Array:
 
 def _choose_smoothing(
     parts: list[_Fold],
-    folded: Callable[[float], list[_Fold]],
-    thinned: Callable[[float], _Fold],
+    by_lines: Callable[[float], list[_Fold]],
+    by_stretches: Callable[[float], list[_Fold]],
     spacing_m: float,
 ) -> tuple[float, list[_Fold]]:
     """A length to smooth over, from none (`parts`) up as long as what is left out clearly fits the better; the folds gridded so.
@@ -193,10 +200,10 @@ def _choose_smoothing(
     Noise that is honoured without need looks like field on the map. Lines left out show what smoothing does between the lines, stretches
     left out what it does on them; a track is as often near as far.
     """
-    best, before = 0.0, (_losses(parts), _losses([thinned(0.0)]))
+    best, before = 0.0, (_losses(parts), _losses(by_stretches(0.0)))
     for factor in SMOOTHINGS:
-        smoother = folded(factor * spacing_m)
-        after = (_losses(smoother), _losses([thinned(factor * spacing_m)]))
+        smoother = by_lines(factor * spacing_m)
+        after = (_losses(smoother), _losses(by_stretches(factor * spacing_m)))
         gains = [old - new for old, new in zip(before, after, strict=True)]
         error = np.sqrt(sum(gain.var() / gain.size for gain in gains))
         if sum(gain.mean() for gain in gains) <= CLEARLY * error:
@@ -242,17 +249,15 @@ def learn_errors(
     fold = folds_of(pieces, folds)
     step_m = 0.6 * spacing_m
 
-    def folded(smoothing: float) -> list[_Fold]:
+    def gridded(parted: list[tuple[list[Lines], list[Window]]], smoothing: float) -> list[_Fold]:
         weight = weight_of(lines, axes, smoothing, spacing_m)
-        out = []
-        for k in range(folds):
-            kept, left = (
-                [p for p, f in zip(pieces, fold, strict=True) if (f == k) == is_left] for is_left in (False, True)
-            )
-            out.append(_fold(kept, windows_of(left, step_m, WINDOW), axes, method, spacing_m, weight))
-        return out
+        return [_fold(kept, left, axes, method, spacing_m, weight) for kept, left in parted]
 
-    parts = folded(smoothing_m or 0.0)
+    whole = []
+    for k in range(folds):
+        kept, left = ([p for p, f in zip(pieces, fold, strict=True) if (f == k) == out] for out in (False, True))
+        whole.append((kept, windows_of(left, step_m, WINDOW)))
+    parts = gridded(whole, smoothing_m or 0.0)
     count = sum(len(p.windows) for p in parts)
     if count < 20:
         raise TooFewSamplesError(
@@ -260,13 +265,10 @@ def learn_errors(
         )
     if smoothing_m is None and grid is None and method == "minimum_curvature":
         kept = _without_stretches(pieces, step_m, min(axes.cell, 0.5 * step_m))
-        left = windows_of(pieces, step_m, WINDOW)
-
-        def thinned(smoothing: float) -> _Fold:
-            weight = weight_of(lines, axes, smoothing, spacing_m)
-            return _fold(kept, left, axes, method, spacing_m, weight)
-
-        smoothing_m, parts = _choose_smoothing(parts, folded, thinned, spacing_m)
+        thinned = [(kept, windows_of(pieces, step_m, WINDOW))]
+        smoothing_m, parts = _choose_smoothing(
+            parts, lambda length: gridded(whole, length), lambda length: gridded(thinned, length), spacing_m
+        )
     rng = np.random.default_rng(seed)
     for part in parts:
         limit = MOST_WINDOWS // folds
@@ -275,14 +277,14 @@ def learn_errors(
     samples: list[Array] = []
     for part in parts:
         for x, y, error in part.errors():
-            layers = [nearest(layer, axes, x, y) for layer in (part.gradient, part.curvature, part.distance)]
+            layers = [nearest(layer, axes, x, y) for layer in (*part.features, part.distance)]
             samples.append(np.vstack([error, *layers]))
     together = np.hstack(samples)
     residuals, gradient, curvature, distance = together[:, np.all(np.isfinite(together), axis=0)]
     law = Law(noise_of(pieces), 0.5 * spacing_m, axes.cell)
     if smoothing_m:
         # Where lines are not honoured, what they are missed by is the least error there.
-        missed = np.concatenate([part.misses for part in parts])
+        missed = np.concatenate([part.misses() for part in parts])
         law = replace(law, noise=max(law.noise, 1.4826 * float(np.median(np.abs(missed)))))
     a, b, c = (float(v) for v in _fit_sigma(residuals, gradient, curvature, distance, law))
     trials = _try_correlations(parts, law, (a, b, c), axes, spacing_m, rng, progress)
@@ -340,7 +342,7 @@ def _try_correlations(
 
     def at_share(part: _Fold, share: float) -> tuple[GridMap, Array]:
         a, b, c = (share * v for v in abc)
-        sigma = sigma_of(part.gradient, part.curvature, part.distance, law, a, b, c)
+        sigma = sigma_of(*part.features, part.distance, law, a, b, c)
         return layered(part.base, np.asarray(part.base.values, dtype=float), sigma, part.distance)
 
     maps = {share: [at_share(part, share) for part in parts] for share in SHARES}
