@@ -23,7 +23,7 @@ def test_a_track_keeps_its_heights():
 @pytest.mark.parametrize(
     ("height", "error", "match"),
     [
-        ([1.0, 2.0, 3.0], geomag.ShapeError, r"track height_m: needed \(2,\)"),
+        ([1.0, 2.0, 3.0], geomag.ShapeError, r"track height_m: needed shape \(2,\)"),
         ([1.0, np.nan], geomag.NotFiniteError, r"track height_m\[1\]"),
         ("high", geomag.InvalidInputError, "track height_m"),
     ],
