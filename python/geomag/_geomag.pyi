@@ -36,6 +36,8 @@ class GridMap:
     @staticmethod
     def from_xarray(data_array: xr.DataArray, **options: Any) -> GridMap: ...
     def to_xarray(self) -> xr.DataArray: ...
+    def continue_to(self, height_m: ArrayLike, **options: Any) -> Any: ...
+    def vertical_gradient(self, **options: Any) -> GridMap: ...
     @property
     def x(self) -> _Floats: ...
     @property
@@ -97,6 +99,22 @@ class GridMap:
         model: dict[str, Any] | None,
         height_m: ArrayLike | None = None,
     ) -> GridMap: ...
+
+@final
+class MapStack:
+    def __new__(cls, levels: Sequence[GridMap]) -> MapStack: ...
+    @property
+    def heights_m(self) -> _Floats: ...
+    @property
+    def levels(self) -> tuple[GridMap, ...]: ...
+    @property
+    def geographic(self) -> bool: ...
+    def sample(
+        self, x: ArrayLike, y: ArrayLike, height_m: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear"
+    ) -> Any: ...
+    def at(self, height_m: float) -> GridMap: ...
+    def __len__(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
 
 @final
 class Track:
@@ -165,6 +183,8 @@ class Fix:
     @property
     def track(self) -> _Floats: ...
     @property
+    def heights_m(self) -> tuple[float, float] | None: ...
+    @property
     def surface(self) -> _Floats | None: ...
     @property
     def surface_axes(self) -> tuple[_Floats, _Floats] | None: ...
@@ -196,7 +216,7 @@ class IemaStep:
 class Iema:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         sigma: float,
         half_width: _Pair,
         tolerance: _Pair | None = None,
@@ -207,7 +227,7 @@ class Iema:
         gate: float = 3.0,
         max_candidates: int = ...,
     ) -> Iema: ...
-    def update(self, x: float, y: float, value: float) -> IemaStep: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> IemaStep: ...
     def run(self, track: Track) -> Fix: ...
     def reset(self) -> None: ...
     @property
@@ -225,7 +245,7 @@ class Iema:
     def _restore(grid: GridMap, bytes: bytes) -> Iema: ...
 
 def match_grid(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     track: Track,
     criterion: str = "msd",
     *,
@@ -957,7 +977,7 @@ class FieldNavigator:
 # Calibrated matching.
 
 def match_posterior(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     track: Track,
     *,
     half_width: _Pair,
@@ -978,7 +998,7 @@ def match_posterior(
     more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -999,7 +1019,7 @@ def match_posterior_many(
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1033,7 +1053,7 @@ class PosteriorStep:
 class PosteriorMatcher:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         *,
         half_width: _Pair,
         sigma: float | None = None,
@@ -1051,7 +1071,7 @@ class PosteriorMatcher:
         max_candidates: int = 4_000_000,
         max_samples: int = 200,
     ) -> PosteriorMatcher: ...
-    def update(self, x: float, y: float, value: float) -> PosteriorStep: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> PosteriorStep: ...
     def run(self, track: Track) -> Fix: ...
     def fix(self) -> Fix: ...
     def reset(self) -> None: ...

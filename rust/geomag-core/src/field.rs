@@ -1,6 +1,7 @@
 //! The one small trait through which matchers and filters see a scalar field.
 
 use crate::grid::GridMap;
+use crate::stack::MapStack;
 
 /// A scalar field over the horizontal plane that a matcher can be given as its map.
 ///
@@ -70,5 +71,15 @@ pub trait Field: Send + Sync + std::fmt::Debug {
     /// The regular grid behind this field, where there is one.
     fn as_grid(&self) -> Option<&GridMap> {
         None
+    }
+
+    /// The levels behind this field, where it has some.
+    fn as_stack(&self) -> Option<&MapStack> {
+        None
+    }
+
+    /// The grid whose nodes and error model are those of the field: itself, or the lowest of its levels.
+    fn layout(&self) -> Option<&GridMap> {
+        self.as_grid()
     }
 }

@@ -13,6 +13,7 @@ use pyo3::types::{PyDict, PyTuple};
 use crate::arrays::{broadcast, in_place, is_single, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
+use crate::stack::PyMapStack;
 
 /// Reads the name of an interpolation.
 pub fn interpolation(name: &str) -> PyRes<Interpolation> {
@@ -75,6 +76,11 @@ impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
         Self { inner: Arc::new(inner), name, units, crs }
+    }
+
+    /// Another map with this one's name, units and reference system.
+    pub fn named_alike(&self, inner: GridMap) -> Self {
+        Self::from_core(inner, self.name.clone(), self.units.clone(), self.crs.clone())
     }
 }
 
@@ -195,6 +201,27 @@ impl PyGridMap {
     /// The map as an xarray.DataArray.
     fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyRes<Bound<'py, PyAny>> {
         Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
+    }
+
+    /// The map at another height, or a `MapStack` of it at several: see `geomag.continuation.continue_to` for the options.
+    #[pyo3(signature = (height_m, **options))]
+    fn continue_to<'py>(
+        slf: &Bound<'py, Self>,
+        height_m: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("continue_to")?.call((slf, height_m), options)?)
+    }
+
+    /// The change of the field with height, value units per metre, upward positive: see `geomag.continuation.vertical_gradient`.
+    #[pyo3(signature = (**options))]
+    fn vertical_gradient<'py>(
+        slf: &Bound<'py, Self>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("vertical_gradient")?.call((slf,), options)?)
     }
 
     /// x of the columns (east), ascending, map units.
@@ -539,5 +566,8 @@ pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
     if let Ok(map) = object.cast::<PyHarmonicMap>() {
         return Ok(map.get().inner.clone());
     }
-    Err(invalid("grid", "a geomag.GridMap or HarmonicMap", object.get_type().name()?))
+    if let Ok(stack) = object.cast::<PyMapStack>() {
+        return Ok(stack.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap, MapStack or HarmonicMap", object.get_type().name()?))
 }

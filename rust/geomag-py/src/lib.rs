@@ -35,6 +35,7 @@ mod long_call;
 mod navigator;
 mod posterior;
 mod sequence;
+mod stack;
 mod synthetic;
 mod track;
 
@@ -74,6 +75,8 @@ mod _geomag {
     use crate::sequence::{
         PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
     };
+    #[pymodule_export]
+    use crate::stack::PyMapStack;
     #[pymodule_export]
     use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]

@@ -15,6 +15,8 @@ use crate::grid::{Axis, GridMap, GridValues};
 
 /// Nodes to a shortest wavelength at which the model counts as known: the step of a search over it.
 const NODES_A_WAVELENGTH: f64 = 8.0;
+/// Places along each axis at which it is seen whether a scalar is determined.
+const DETERMINED_AT: usize = 4;
 /// Samples along each axis from which the mean level is taken.
 const MEAN_SAMPLES: usize = 24;
 
@@ -36,11 +38,27 @@ pub enum Quantity {
     Anomaly([f64; 3]),
     /// The total intensity `|main + B|`.
     Intensity([f64; 3]),
+    /// The total intensity to first order, `|main|` and the component along it: all that a fit to anomalies knows of it.
+    ProjectedIntensity([f64; 3]),
 }
 
 impl Quantity {
+    /// What it is called.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::North => "north",
+            Self::East => "east",
+            Self::Down => "down",
+            Self::Projection(_) => "projection",
+            Self::Anomaly(_) => "anomaly",
+            Self::Intensity(_) | Self::ProjectedIntensity(_) => "intensity",
+        }
+    }
+
     pub(crate) fn validate(self) -> Result<Self> {
-        if let Self::Projection(main) | Self::Anomaly(main) | Self::Intensity(main) = self {
+        if let Self::Projection(main) | Self::Anomaly(main) | Self::Intensity(main) | Self::ProjectedIntensity(main) =
+            self
+        {
             require_finite("main_field", &main)?;
             if norm(main) == 0.0 {
                 return Err(Error::invalid("main_field", "a vector of length > 0", "a zero vector"));
@@ -60,6 +78,11 @@ impl Quantity {
             Self::Projection(main) => {
                 let length = norm(main);
                 along(main.map(|c| c / length))
+            }
+            Self::ProjectedIntensity(main) => {
+                let length = norm(main);
+                let (value, direction) = along(main.map(|c| c / length));
+                (length + value, direction)
             }
             Self::Anomaly(main) | Self::Intensity(main) => {
                 let total = [main[0] + field[0], main[1] + field[1], main[2] + field[2]];
@@ -86,6 +109,8 @@ impl Quantity {
 #[derive(Debug, Clone)]
 pub struct HarmonicMap {
     model: Arc<RectangularHarmonicModel>,
+    /// As it was asked for, and as the model has it.
+    asked: Quantity,
     quantity: Quantity,
     level: Level,
     spacing: [f64; 2],
@@ -138,7 +163,7 @@ impl HarmonicMap {
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
-        Self::new(model, quantity, Level::Height(frame, height_m))
+        Self::on(model, quantity, Level::Height(frame, height_m))
     }
 
     /// On a plane of the frame, `down_m` below its origin; coordinates in metres.
@@ -147,11 +172,12 @@ impl HarmonicMap {
     /// [`Error::Invalid`] for a main field of length zero; [`Error::NotFinite`].
     pub fn at_down(model: Arc<RectangularHarmonicModel>, quantity: Quantity, down_m: f64) -> Result<Self> {
         require_finite("down_m", &[down_m])?;
-        Self::new(model, quantity, Level::Down(down_m))
+        Self::on(model, quantity, Level::Down(down_m))
     }
 
-    fn new(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Level) -> Result<Self> {
-        let quantity = quantity.validate()?;
+    pub(crate) fn on(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Level) -> Result<Self> {
+        let asked = quantity.validate()?;
+        let quantity = model.as_fitted(asked);
         let order = model.order().max(1) as f64;
         let [north, east] = model.periods_m().map(|p| p / order / NODES_A_WAVELENGTH);
         let spacing = match level {
@@ -161,7 +187,8 @@ impl HarmonicMap {
                 [east / east_scale.max(1.0), north / north_scale]
             }
         };
-        let mut map = Self { model, quantity, level, spacing, mean: 0.0 };
+        let mut map = Self { model, asked, quantity, level, spacing, mean: 0.0 };
+        map.require_determined()?;
         map.mean = map.mean_over_region();
         Ok(map)
     }
@@ -173,7 +200,62 @@ impl HarmonicMap {
 
     /// The scalar that the map gives.
     pub fn quantity(&self) -> Quantity {
-        self.quantity
+        self.asked
+    }
+
+    /// Refuses a scalar that the observations do not determine: one along a uniform field that none of them senses, or one that
+    /// is less well known than it is large.
+    fn require_determined(&self) -> Result<()> {
+        let refuse =
+            |got: String| Err(Error::invalid("quantity", "a scalar of the field that the observations determine", got));
+        let region = self.model.region();
+        let at = |[low, high]: [f64; 2], k: usize| low + (high - low) * (k as f64 + 0.5) / DETERMINED_AT as f64;
+        let (mut points, mut directions, mut signals) = (Vec::new(), Vec::new(), Vec::new());
+        for k in 0..DETERMINED_AT * DETERMINED_AT {
+            let (north, east) = (at(region.north_m, k / DETERMINED_AT), at(region.east_m, k % DETERMINED_AT));
+            let [x, y] = match self.level {
+                Level::Down(_) => [east, north],
+                Level::Height(frame, _) => {
+                    let [latitude, longitude, _] = frame.inverse([north, east, region.down_m[1]]);
+                    [longitude, latitude]
+                }
+            };
+            let point = self.level.point(x, y);
+            let field = self.model.field_at(point);
+            let e = Evaluation { potential: 0.0, field, gradient: [[0.0; 3]; 3] };
+            let direction = self.scalar(x, y, &e).1;
+            if let Some(unsensed) = self.model.unsensed(direction) {
+                return refuse(format!("{}: nothing observed senses a {unsensed}", self.asked.name()));
+            }
+            points.push(point);
+            directions.push(direction);
+            signals.push(dot(direction, field));
+        }
+        if !self.model.has_covariance() {
+            return Ok(());
+        }
+        let axis = |i: usize| points.iter().map(|p| p[i]).collect::<Vec<_>>();
+        let (north, east, down) = (axis(0), axis(1), axis(2));
+        let sigma = self.model.sigma_along(&Positions::new(&north, &east, &down)?, &directions, false)?;
+        let (mut values, mut variances, mut count) = (0.0, 0.0, 0.0);
+        for (signal, sigma) in signals.iter().zip(&sigma) {
+            if signal.is_finite() && sigma.is_finite() {
+                values += signal * signal;
+                variances += sigma * sigma;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 && variances > values && values > 0.0 {
+            let rms = |sum: f64| (sum / count).sqrt();
+            return refuse(format!(
+                "{}, known to {:.3} {unit} where it is {:.3} {unit} rms",
+                self.asked.name(),
+                rms(variances),
+                rms(values),
+                unit = self.model.unit()
+            ));
+        }
+        Ok(())
     }
 
     /// The map as a regular grid on given axes: upward continuation to the level, for matchers that read grids.
