@@ -47,8 +47,11 @@ from geomag._geomag import (
     Iema,
     IemaStep,
     InsFeedback,
+    InsModel,
     LocalFrame,
     MapStack,
+    NavigationStep,
+    Navigator,
     NavigatorStep,
     PosteriorMatcher,
     PosteriorStep,
@@ -70,6 +73,7 @@ from geomag._geomag import (
     predict_many,
     tune_sequence,
 )
+from geomag._navigation import Navigation, navigate
 from geomag._sequence import ChosenSamples, delta_modulation
 from geomag._versions import show_versions
 from geomag.io import read_grid, read_track
@@ -91,11 +95,15 @@ __all__ = [
     "Iema",
     "IemaStep",
     "InsFeedback",
+    "InsModel",
     "InvalidInputError",
     "LocalFrame",
     "MapStack",
     "MissingDependencyError",
     "MissingFileError",
+    "Navigation",
+    "NavigationStep",
+    "Navigator",
     "NavigatorStep",
     "NotFiniteError",
     "NotPositiveDefiniteError",
@@ -124,6 +132,7 @@ __all__ = [
     "match_grid",
     "match_posterior",
     "match_posterior_many",
+    "navigate",
     "predict_many",
     "read_grid",
     "read_track",

@@ -327,6 +327,8 @@ def _one_level(
         inner = slice(kept.start - seen.start, kept.stop - seen.start)
         spread = float(np.std((values[seen] - waves.plane)[waves.known]))
         own = stated[seen] if stated is not None else np.full(waves.shape, UNSTATED_ERROR * spread)
+        # The variance of an error that differs from place to place is that of where its waves come from.
+        uneven = _Waves(own**2, cell, "mirrored") if np.ptp(own) > 0 else None
         k, share = _error_law(length, float(waves.k.max()))
         for i, up in enumerate(up_m):
             if up == 0.0:
@@ -348,8 +350,7 @@ def _one_level(
                 ratio, longer = 0.0, 1.0
             continued = waves.through(transfer)
             beyond = waves.beyond(up)
-            # The variance of an error that differs from place to place is that of where its waves come from.
-            smooth = _Waves(own**2, cell, "mirrored").through(np.exp(-waves.k * abs(up))) if np.ptp(own) > 0 else own**2
+            smooth = own**2 if uneven is None else uneven.through(np.exp(-waves.k * abs(up)))
             variance = ratio * np.clip(smooth, 0.0, None) + missed
             edge = EDGE_SHARE * spread * beyond
             if up < 0:
@@ -574,7 +575,7 @@ def levels(grid: GridMap, low_m: float, high_m: float) -> Array:
     """
     base = _on_level(grid, "levels")
     level = float(np.asarray(base.height_m))
-    waves = _Waves(np.array(base.values, dtype=float), _metres(base), "foretold")
+    waves = _Waves(np.array(base.values, dtype=float), _metres(base), "mirrored")
     rings, power = waves.power()
     sigma = _sigma_layer(base)
     spread = float(np.sqrt(power.sum()))

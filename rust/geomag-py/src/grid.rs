@@ -401,7 +401,7 @@ impl PyGridMap {
     /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
     ///
     /// Raises `InvalidInputError` for a latitude beyond a pole.
-    fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
+    pub fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
         if self.inner.geographic() && y.abs() > 90.0 {
             return Err(invalid("y of a geographic map", "a latitude in [-90, 90] degrees", y));
         }

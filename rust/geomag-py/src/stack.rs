@@ -73,6 +73,17 @@ impl PyMapStack {
         Ok(PyTuple::new(py, self.levels.iter().map(|level| level.clone_ref(py)))?)
     }
 
+    /// Metres per map unit (east, north) at a y: see `GridMap.metres_per_unit`.
+    fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
+        self.levels[0].get().metres_per_unit(y)
+    }
+
+    /// Spacing (x, y), map units.
+    #[getter]
+    fn spacing(&self) -> (f64, f64) {
+        self.inner.spacing().into()
+    }
+
     /// Whether coordinates are degrees of longitude and latitude.
     #[getter]
     fn geographic(&self) -> bool {
