@@ -1,5 +1,6 @@
 //! The one small trait through which matchers and filters see a scalar field.
 
+use crate::error::Result;
 use crate::grid::GridMap;
 use crate::stack::MapStack;
 
@@ -76,6 +77,15 @@ pub trait Field: Send + Sync + std::fmt::Debug {
     /// The levels behind this field, where it has some.
     fn as_stack(&self) -> Option<&MapStack> {
         None
+    }
+
+    /// The field for readings between two heights, of a field that can be evaluated anywhere: itself at that height, or levels of
+    /// itself. `None` for one of given surfaces.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`](crate::error::Error::Invalid) for heights at which the field is unknown.
+    fn between(&self, _low_m: f64, _high_m: f64) -> Result<Option<Box<dyn Field>>> {
+        Ok(None)
     }
 
     /// The grid whose nodes and error model are those of the field: itself, or the lowest of its levels.

@@ -274,6 +274,8 @@ pub enum Served<'a> {
     Level(GridMap),
     /// Some levels of a stack.
     Levels(MapStack),
+    /// A field that can be evaluated anywhere, at these heights.
+    Evaluated(Box<dyn Field>),
 }
 
 impl Served<'_> {
@@ -283,6 +285,7 @@ impl Served<'_> {
             Self::AsItIs(field) => *field,
             Self::Level(map) => map,
             Self::Levels(stack) => stack,
+            Self::Evaluated(field) => &**field,
         }
     }
 }
@@ -361,7 +364,13 @@ pub fn check_heights(field: &dyn Field, track: &Track) -> Result<()> {
 /// As [`check_heights`].
 pub fn served<'a>(field: &'a dyn Field, track: &Track) -> Result<Served<'a>> {
     check_heights(field, track)?;
-    let Some(stack) = field.as_stack() else { return Ok(Served::AsItIs(field)) };
+    let Some(stack) = field.as_stack() else {
+        let evaluated = match track.height_m().and_then(extent) {
+            Some([low, high]) => field.between(low, high)?,
+            None => None,
+        };
+        return Ok(evaluated.map_or(Served::AsItIs(field), Served::Evaluated));
+    };
     Ok(match track.height_m().and_then(extent) {
         Some([low, high]) if low == high => Served::Level(stack.at(low)?),
         Some([low, high]) => Served::Levels(stack.around(low, high)),

@@ -70,17 +70,19 @@ impl<'a> Comparison<'a> {
         })
     }
 
-    /// The same comparison with the points at these heights, where the field is a stack of levels.
+    /// The same comparison with the points at these heights, where the field is known at several.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of heights than points, [`Error::Invalid`] for one outside the stack.
     pub fn at_heights(mut self, heights_m: Option<&[f64]>) -> Result<Self> {
-        let (Some(stack), Some(heights)) = (self.field.as_stack(), heights_m) else { return Ok(self) };
+        let Some(heights) = heights_m.filter(|_| self.field.as_grid().is_none()) else { return Ok(self) };
         if heights.len() != self.points.len() {
             let needed = format!("({},) as the track", self.points.len());
             return Err(Error::shape("height_m", needed, format!("({},)", heights.len())));
         }
-        self.storeys = stack.storeys(heights)?;
+        if let Some(stack) = self.field.as_stack() {
+            self.storeys = stack.storeys(heights)?;
+        }
         self.heights_m = heights.to_vec();
         Ok(self)
     }
@@ -130,6 +132,7 @@ impl<'a> Comparison<'a> {
             }
             None => match (self.field.as_stack(), self.heights_m.get(k)) {
                 (Some(stack), Some(&height)) => stack.sample(x + ox, y + oy, height, self.interpolation),
+                (None, Some(&height)) => self.field.value_at(x + ox, y + oy, height),
                 _ => self.field.value(x + ox, y + oy),
             },
         }

@@ -199,6 +199,12 @@ impl PosteriorMatcher {
         require_finite("sample (x, y, value)", &[x, y, value])?;
         let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
         check_heights(&*self.field, &sample)?;
+        if let Some(height) = height_m
+            && self.field.between(height, height)?.is_some()
+        {
+            let needed = "a stack of levels, for what is laid out of this field is at its own level";
+            return Err(Error::invalid("map", needed, format!("a sample at {height} m")));
+        }
         let s = &mut self.state;
         if !s.x.is_empty() && s.heights_m.is_empty() == height_m.is_some() {
             let needed =
