@@ -35,9 +35,7 @@ def flown(maps, truth, windows, profile, seed=1):
             readings = truth.sample(x, y, heights) + rng.normal(0, 1.0, SAMPLES)
             tracks.append(geomag.Track(x - offset[0], y - offset[1], readings, height_m=heights))
             places.append((x[-1], y[-1]))
-        got = calibration.assess(
-            grid, tracks, np.array(places), name="", half_width_m=HALF_M, tolerance_m=TOLERANCE_M
-        )
+        got = calibration.assess(grid, tracks, np.array(places), name="", half_width_m=HALF_M, tolerance_m=TOLERANCE_M)
         fixed += int(got.fixed.sum())
         wrong += int((got.error_m[got.fixed] > TOLERANCE_M).sum())
         count += len(tracks)
@@ -50,9 +48,7 @@ def test_flights_above_a_map_are_fixed_once_they_tell_their_heights():
     waves = [(rng.normal(0, 12), 2 * np.pi / s, *rng.uniform(0, 2 * np.pi, 2)) for s in np.geomspace(500, 9000, 60)]
 
     def field(x, y, height):
-        return sum(
-            a * np.exp(-k * height) * np.cos(k * (np.cos(d) * x + np.sin(d) * y) + p) for a, k, d, p in waves
-        )
+        return sum(a * np.exp(-k * height) * np.cos(k * (np.cos(d) * x + np.sin(d) * y) + p) for a, k, d, p in waves)
 
     error = 2.0 * np.sin(axis / 330) * np.sin(axis[:, None] / 290)
     grid = geomag.GridMap(field(axis, axis[:, None], 0.0) + error, axis, axis, sigma=1.5, height_m=100.0)

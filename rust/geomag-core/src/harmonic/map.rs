@@ -331,9 +331,7 @@ impl HarmonicMap {
             let height = low_m + (high_m - low_m) * i as f64 / count as f64;
             let map = self.at_level(self.level_at(height));
             let sigma = map.typical_sigma();
-            map.to_grid(x, y)?
-                .with_sigma(Some(MapSigma::Constant(sigma)))?
-                .with_height(Some(MapHeight::Level(height)))
+            map.to_grid(x, y)?.with_sigma(Some(MapSigma::Constant(sigma)))?.with_height(Some(MapHeight::Level(height)))
         };
         MapStack::new((0..=count).map(level).collect::<Result<_>>()?)
     }
@@ -430,7 +428,9 @@ impl Field for HarmonicMap {
 
     fn between(&self, low_m: f64, high_m: f64) -> Result<Option<Box<dyn Field>>> {
         let same = |level: Level| match (level, self.level) {
-            (Level::Height(_, a), Level::Height(_, b)) | (Level::Down(a), Level::Down(b)) => (a - b).abs() < SAME_LEVEL_M,
+            (Level::Height(_, a), Level::Height(_, b)) | (Level::Down(a), Level::Down(b)) => {
+                (a - b).abs() < SAME_LEVEL_M
+            }
             _ => false,
         };
         if same(self.level_at(low_m)) && same(self.level_at(high_m)) {
