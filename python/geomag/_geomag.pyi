@@ -32,7 +32,11 @@ class GridMap:
         name: str | None = None,
         units: str | None = None,
         crs: str | None = None,
+        ground_scale: ArrayLike | None = None,
     ) -> GridMap: ...
+    @property
+    def ground_scale(self) -> _Floats | None: ...
+    def with_ground_scale(self, ground_scale: ArrayLike) -> GridMap: ...
     @staticmethod
     def from_xarray(data_array: xr.DataArray, **options: Any) -> GridMap: ...
     def to_xarray(self) -> xr.DataArray: ...
@@ -96,6 +100,7 @@ class GridMap:
         text: tuple[str | None, str | None, str | None],
         model: dict[str, Any] | None,
         height_m: ArrayLike | None = None,
+        ground_scale: ArrayLike | None = None,
     ) -> GridMap: ...
 
 @final
@@ -108,7 +113,10 @@ class Track:
         time_s: ArrayLike | None = None,
         *,
         height_m: ArrayLike | None = None,
+        geographic: bool | None = None,
     ) -> Track: ...
+    @property
+    def geographic(self) -> bool | None: ...
     @property
     def x(self) -> _Floats: ...
     @property
@@ -125,7 +133,12 @@ class Track:
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
     def _restore(
-        x: ArrayLike, y: ArrayLike, values: ArrayLike, time_s: ArrayLike | None, height_m: ArrayLike | None
+        x: ArrayLike,
+        y: ArrayLike,
+        values: ArrayLike,
+        time_s: ArrayLike | None,
+        height_m: ArrayLike | None,
+        geographic: bool | None = None,
     ) -> Track: ...
 
 @final

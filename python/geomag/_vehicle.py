@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _SHARES = (0.6, 0.35, 0.05)
 #: Main field of the middle latitudes of the north: inclination 60 degrees, 50,000 nT.
 _MAIN_NED_NT = (24_600.0, 4_300.0, 43_300.0)
+#: Time of a turn by a right angle.
+_TURN_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,8 @@ class VehicleField:
         if not (np.isfinite(size_nt) and size_nt >= 0):
             raise InvalidInputError(f"size_nt: needed a finite number >= 0, got {size_nt}")
         random = np.random.default_rng(seed)
-        time, heading, pitch, roll, _ = _manoeuvres(60.0, 10.0)
-        rows = _terms(time, _body(_MAIN_NED_NT, heading, pitch, roll))
+        box = _box(60.0, 10.0)
+        rows = _terms(box.time, _body(_MAIN_NED_NT, box))
         rows -= rows.mean(axis=0)
         coefficients = random.normal(size=18)
         for part, share in zip((slice(0, 3), slice(3, 9), slice(9, 18)), _SHARES, strict=True):
@@ -97,6 +99,8 @@ def calibration_box(
 ) -> CalibrationFlight:
     """Fly a calibration box: four legs to north, east, south and west with pitch, roll and yaw on each.
 
+    Between the legs are turns to the right of half a minute.
+
     Parameters
     ----------
     vehicle : VehicleField or float
@@ -127,37 +131,37 @@ def calibration_box(
     >>> from geomag import synthetic
     >>> flight = synthetic.calibration_box(85.0, seed=2)
     >>> flight.reading_nt.shape, len(flight.manoeuvres)
-    ((2400,), 12)
+    ((3300,), 12)
     """
     random = np.random.default_rng(seed)
     if not isinstance(vehicle, VehicleField):
         vehicle = VehicleField.draw(float(vehicle), seed)
-    time, heading, pitch, roll, manoeuvres = _manoeuvres(leg_s, rate_hz, random)
-    track = np.radians(np.repeat([0.0, 90.0, 180.0, 270.0], len(time) // 4))
-    x = start_m[0] + np.cumsum(np.sin(track)) * speed_m_s / rate_hz
-    y = start_m[1] + np.cumsum(np.cos(track)) * speed_m_s / rate_hz
+    box = _box(leg_s, rate_hz, speed_m_s, random)
+    time = box.time
+    x = start_m[0] + np.cumsum(np.sin(box.course)) * speed_m_s / rate_hz
+    y = start_m[1] + np.cumsum(np.cos(box.course)) * speed_m_s / rate_hz
     anomaly = np.zeros(len(time)) if crust is None else np.asarray(crust(x, y), dtype=float)
     if anomaly.shape != time.shape or not np.isfinite(anomaly).all():
         raise InvalidInputError(
             f"crust: needed a finite number at each of {len(time)} places from x {x.min():.0f} to {x.max():.0f}, "
             f"y {y.min():.0f} to {y.max():.0f} m, got {np.isfinite(anomaly).sum()} of shape {anomaly.shape}"
         )
-    body = _body(main_ned_nt, heading, pitch, roll)
+    body = _body(main_ned_nt, box)
     own = vehicle.on(time, body)
     clean = float(np.linalg.norm(main_ned_nt)) + anomaly
     return CalibrationFlight(
         time_s=time,
         x_m=x,
         y_m=y,
-        heading_deg=np.degrees(heading),
-        pitch_deg=np.degrees(pitch),
-        roll_deg=np.degrees(roll),
+        heading_deg=np.degrees(box.heading),
+        pitch_deg=np.degrees(box.pitch),
+        roll_deg=np.degrees(box.roll),
         field_nt=body + vector_noise_nt * random.normal(size=body.shape),
         reading_nt=clean + own + noise_nt * random.normal(size=len(time)),
         clean_nt=clean,
         interference_nt=own,
         vehicle=vehicle,
-        manoeuvres=manoeuvres,
+        manoeuvres=box.manoeuvres,
     )
 
 
@@ -197,40 +201,57 @@ def _terms(time_s: ArrayLike, field_nt: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(tolles_lawson_terms(field_nt, time_s, np.inf))
 
 
-def _body(
-    main: tuple[float, float, float],
-    heading: NDArray[np.float64],
-    pitch: NDArray[np.float64],
-    roll: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _body(main: tuple[float, float, float], box: _Box) -> NDArray[np.float64]:
     from geomag.compensation import field_in_vehicle
 
-    degrees = [np.degrees(a) for a in (heading, pitch, roll)]
-    return field_in_vehicle(main, heading_deg=degrees[0], pitch_deg=degrees[1], roll_deg=degrees[2])
+    heading, pitch, roll = (np.degrees(a) for a in (box.heading, box.pitch, box.roll))
+    return field_in_vehicle(main, heading_deg=heading, pitch_deg=pitch, roll_deg=roll)
 
 
-def _manoeuvres(
-    leg_s: float, rate_hz: float, random: np.random.Generator | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], tuple[slice, ...]]:
-    """Time, heading, pitch, roll (radians) and the slices of the twelve manoeuvres."""
-    if not (leg_s >= 15 and rate_hz >= 2):
+@dataclass(frozen=True)
+class _Box:
+    """Times, angles in radians and the slices of the twelve manoeuvres."""
+
+    time: NDArray[np.float64]
+    course: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    pitch: NDArray[np.float64]
+    roll: NDArray[np.float64]
+    manoeuvres: tuple[slice, ...]
+
+
+def _box(leg_s: float, rate_hz: float, speed_m_s: float = 60.0, random: np.random.Generator | None = None) -> _Box:
+    """Four legs of pitch, roll and yaw, with turns to the right of half a minute between them."""
+    if not (leg_s >= 15 and rate_hz >= 2 and speed_m_s > 0):
         raise InvalidInputError(
-            f"calibration box: needed legs of 15 s and 2 samples a second at least, got {leg_s}, {rate_hz}"
+            f"calibration box: needed legs of 15 s, 2 samples a second and a speed > 0, got {leg_s}, {rate_hz}, {speed_m_s}"
         )
-    each = int(leg_s * rate_hz)
-    time = np.arange(4 * each) / rate_hz
-    angles = np.radians([[0.0, 90.0, 180.0, 270.0], [0.0] * 4, [0.0] * 4]).repeat(each, axis=1)
-    third = each // 3
+    leg, turn = int(leg_s * rate_hz), int(_TURN_S * rate_hz)
+    # The rate of a turn comes and goes as a raised cosine.
+    into = np.arange(turn) / turn
+    turned = 0.5 * np.pi * (into - np.sin(2.0 * np.pi * into) / (2.0 * np.pi))
+    rate = 0.5 * np.pi * (1.0 - np.cos(2.0 * np.pi * into)) / _TURN_S
+    course, roll, starts = [], [], []
+    for k in range(4):
+        starts.append(sum(map(len, course)))
+        course.append(np.full(leg, 0.5 * np.pi * k))
+        roll.append(np.zeros(leg))
+        if k < 3:
+            course.append(0.5 * np.pi * k + turned)
+            roll.append(np.arctan(speed_m_s * rate / 9.81))
+    along = np.concatenate(course)
+    angles = [along.copy(), np.zeros(len(along)), np.concatenate(roll)]
+    third = leg // 3
     window = np.sin(np.pi * np.arange(third) / third) ** 2
     parts = []
-    for leg in range(4):
-        # Yaw of 5, pitch of 5 and roll of 10 degrees, five seconds to and fro.
+    for start in starts:
+        # Pitch of 5, roll of 10 and yaw of 5 degrees, five seconds to and fro.
         for k, (angle, size) in enumerate(((1, 5.0), (2, 10.0), (0, 5.0))):
-            part = slice(leg * each + k * third, leg * each + (k + 1) * third)
+            part = slice(start + k * third, start + (k + 1) * third)
             phase = 0.0 if random is None else random.uniform(0.0, 2.0 * np.pi)
             period = 5.0 if random is None else random.uniform(4.0, 6.0)
-            angles[angle, part] += (
+            angles[angle][part] += (
                 np.radians(size) * window * np.sin(2.0 * np.pi * np.arange(third) / rate_hz / period + phase)
             )
             parts.append(part)
-    return time, angles[0], angles[1], angles[2], tuple(parts)
+    return _Box(np.arange(len(along)) / rate_hz, along, angles[0], angles[1], angles[2], tuple(parts))

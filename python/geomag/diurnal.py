@@ -174,7 +174,10 @@ def read_iaga2002(path: str | Path) -> IagaRecord:
         k = int(np.argmax(np.diff(time) <= np.timedelta64(0, "ms"))) + 1
         raise ReadError(f"{path}: needed times that rise, got {time[k]} after {time[k - 1]}")
     components = {n: table[:, k] for k, n in enumerate(names)}
-    return IagaRecord(header, time, components, (places[1] + 180.0) % 360.0 - 180.0, places[0], height)
+    latitude, longitude = places
+    return IagaRecord(
+        header, time, components, longitude - 360.0 if longitude >= 180.0 else longitude, latitude, height
+    )
 
 
 class Removed(NamedTuple):

@@ -51,20 +51,26 @@ def field_in_vehicle(
     field = np.asarray(field_ned_nt, dtype=float)
     if field.ndim == 0 or field.shape[-1] != 3:
         raise ShapeError(f"field_ned_nt: needed shape (3,) or (n, 3), got {field.shape}")
-    if (quaternion is None) == (heading_deg is None):
-        raise InvalidInputError(
-            "attitude: needed a quaternion, or heading_deg (with pitch_deg and roll_deg), got both or none"
-        )
-    if quaternion is not None:
-        axes = _of_quaternion(np.asarray(quaternion, dtype=float))
-    else:
-        axes = _of_angles(*(np.radians(np.asarray(a, dtype=float)) for a in (heading_deg, pitch_deg, roll_deg)))
+    axes = axes_of(quaternion, heading_deg, pitch_deg, roll_deg)
     try:
         return np.asarray(np.einsum("...ji,...j->...i", axes, field))
     except ValueError as error:
         raise ShapeError(
             f"attitude: needed as many samples as field_ned_nt {field.shape}, got {axes.shape[:-2]}"
         ) from error
+
+
+def axes_of(
+    quaternion: ArrayLike | None, heading_deg: ArrayLike | None, pitch_deg: ArrayLike, roll_deg: ArrayLike
+) -> NDArray[np.float64]:
+    """Rotations from the vehicle's axes to north, east, down, shape (..., 3, 3), from either kind of attitude."""
+    if (quaternion is None) == (heading_deg is None):
+        raise InvalidInputError(
+            "attitude: needed a quaternion, or heading_deg (with pitch_deg and roll_deg), got both or none"
+        )
+    if quaternion is not None:
+        return _of_quaternion(np.asarray(quaternion, dtype=float))
+    return _of_angles(*(np.radians(np.asarray(a, dtype=float)) for a in (heading_deg, pitch_deg, roll_deg)))
 
 
 def _of_quaternion(q: NDArray[np.float64]) -> NDArray[np.float64]:

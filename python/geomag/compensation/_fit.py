@@ -13,6 +13,8 @@ from geomag.compensation._model import Compensation, terms
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+#: Terms are of order one; below this their changes are rounding.
+_STEADY = 1e-10
 #: Penalties tried by cross-validation, shares of the greatest eigenvalue of the normal matrix.
 _SHARES = 10.0 ** np.arange(-12.0, 0.5, 0.5)
 
@@ -145,6 +147,8 @@ def fit(
             f"compensation: needed at least {4 * rows.shape[1]} good samples in pieces longer than {2 * trim:g} s, "
             f"got {len(signal)}"
         )
+    if not np.sqrt(np.mean(rows**2)) > _STEADY:
+        raise InvalidInputError("compensation: needed a field that changes direction in the band, got a steady one")
     penalty = _cross_validated(rows, signal, folds) if ridge == "cv" else float(ridge)
     coefficients = solve(rows, signal, penalty)
     left = signal - rows @ coefficients
@@ -196,8 +200,6 @@ def _cross_validated(rows: NDArray[np.float64], signal: NDArray[np.float64], fol
     """The penalty whose fit without a block errs least on it, over contiguous blocks."""
     normal, right = rows.T @ rows, rows.T @ signal
     greatest = float(np.linalg.eigvalsh(normal)[-1])
-    if not greatest > 0:
-        raise InvalidInputError("compensation: needed a field that changes direction in the band, got a steady one")
     errors = np.zeros(_SHARES.size)
     for block in np.array_split(np.arange(len(signal)), folds):
         a, y = rows[block], signal[block]

@@ -90,7 +90,7 @@ class Compensation:
     band_hz : pair of floats
         Band of the fit.
     max_gap_s : float
-        Longest step over which a rate is taken.
+        Longest step over which a stream takes a rate: 2.5 steps of the calibration.
     improvement_ratio : float
         Standard deviation in the band before over after, on the calibration flight.
     residual_nt : float
@@ -124,9 +124,10 @@ class Compensation:
     def interference(self, time_s: ArrayLike, field_nt: ArrayLike) -> NDArray[np.float64]:
         """The vehicle's own field at every sample of a log, nT, shape (n,); NaN where the field is NaN.
 
-        Where no rate can be had (a lone sample between gaps) the eddy terms are left out.
+        Rates are taken over the log's own steps: one that is logged more slowly than the vehicle sways has poor eddy terms. Where
+        no rate can be had (a lone sample between gaps) they are left out.
         """
-        rows = terms(field_nt, time_s, max_gap_s=self.max_gap_s)
+        rows = terms(field_nt, time_s)
         lone = np.isfinite(rows[:, :9]).all(axis=1) & ~np.isfinite(rows[:, 9:]).all(axis=1)
         rows[lone, 9:] = 0.0
         return np.asarray(rows @ self.coefficients)
@@ -179,7 +180,7 @@ class Compensation:
             `leg_sigma_nt` is the bias per leg for matchers; `sigma_nt` goes with single readings.
         """
         time = np.asarray(time_s, dtype=float)
-        rows = terms(field_nt, time, max_gap_s=self.max_gap_s)
+        rows = terms(field_nt, time)
         rows[~np.isfinite(rows)] = 0.0
         heading = np.asarray(heading_deg, dtype=float)
         if heading.shape != time.shape:
