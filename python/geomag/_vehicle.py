@@ -231,9 +231,11 @@ def _box(leg_s: float, rate_hz: float, speed_m_s: float = 60.0, random: np.rando
     into = np.arange(turn) / turn
     turned = 0.5 * np.pi * (into - np.sin(2.0 * np.pi * into) / (2.0 * np.pi))
     rate = 0.5 * np.pi * (1.0 - np.cos(2.0 * np.pi * into)) / _TURN_S
-    course, roll, starts = [], [], []
+    course: list[NDArray[np.float64]] = []
+    roll: list[NDArray[np.float64]] = []
+    starts: list[int] = []
     for k in range(4):
-        starts.append(sum(map(len, course)))
+        starts.append(sum(len(part) for part in course))
         course.append(np.full(leg, 0.5 * np.pi * k))
         roll.append(np.zeros(leg))
         if k < 3:

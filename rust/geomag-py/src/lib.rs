@@ -34,6 +34,7 @@ mod kalman;
 mod lock;
 mod long_call;
 mod main_field;
+mod map_navigator;
 mod navigator;
 mod posterior;
 mod sequence;
@@ -70,6 +71,10 @@ mod _geomag {
     use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
     #[pymodule_export]
     use crate::main_field::PyMainFieldModel;
+    #[pymodule_export]
+    use crate::map_navigator::{
+        PyInsModel, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,
+    };
     #[pymodule_export]
     use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
     #[pymodule_export]
