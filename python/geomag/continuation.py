@@ -228,9 +228,9 @@ def _metres(grid: GridMap, row: float | None = None) -> tuple[float, float]:
 def _bands(grid: GridMap, reach_m: float) -> list[tuple[slice, slice, tuple[float, float]]]:
     """Rows that are continued together: what is kept, what is looked at, and the cell in metres."""
     rows = grid.shape[0]
-    if not grid.geographic:
+    if not grid.geographic and grid.ground_scale is None:
         return [(slice(0, rows), slice(0, rows), _metres(grid))]
-    east = np.array([grid.metres_per_unit(float(np.clip(y, -90, 90)))[0] for y in grid.y])
+    east = np.array([grid.metres_per_unit(float(np.clip(y, -90, 90) if grid.geographic else y))[0] for y in grid.y])
     out = []
     start = 0
     while start < rows:
@@ -282,6 +282,8 @@ def _rebuilt(
     out = GridMap(
         values.astype(kept), grid.x, grid.y, geographic=grid.geographic, sigma=sigma, height_m=height_m, **words
     )
+    if grid.ground_scale is not None:
+        out = out.with_ground_scale(grid.ground_scale)
     model = grid.error_model
     if model is None:
         return out

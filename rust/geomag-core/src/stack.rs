@@ -74,6 +74,7 @@ impl MapStack {
             let alike = level.x() == first.x()
                 && level.y() == first.y()
                 && level.geographic() == first.geographic()
+                && level.ground_scale() == first.ground_scale()
                 && single(level) == single(first);
             if !alike {
                 return Err(Error::invalid(
@@ -189,6 +190,7 @@ impl MapStack {
         GridMap::from_axes(values, *below.x(), *below.y(), below.geographic())?
             .with_sigma(sigma)?
             .with_error_model(model)?
+            .with_ground_scale(below.ground_scale().map(<[_]>::to_vec))?
             .with_height(Some(MapHeight::Level(height_m)))
     }
 

@@ -148,7 +148,7 @@ pub fn py_match_grid(
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<PyFix> {
     check_unused(length_scale_m, value_scale, fraction, robust_scale, nu)?;
-    let samples = &*track.inner;
+    let samples = &*track.on(py, grid)?;
     let field = field_for(grid, [samples])?;
     let weights = optional_vector("weights", weights)?;
     let measured = samples.weighted(weights.as_deref())?;

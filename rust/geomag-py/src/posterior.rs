@@ -134,7 +134,7 @@ pub fn match_posterior(
     surface: bool,
     more: Option<Vec<Bound<'_, PyAny>>>,
 ) -> PyRes<PyFix> {
-    let track = &track.get().inner;
+    let track = &track.get().on(py, grid)?;
     let map = field_for(grid, [&**track])?;
     let (half_width, step) = extent(half_width, step)?;
     let options = options! {
@@ -226,7 +226,7 @@ pub fn match_posterior_many(
     streaming: bool,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<PyFix>> {
-    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
     let map = field_for(grid, &tracks)?;
     let (half_width, step) = extent(half_width, step)?;
     let options = options! {
@@ -574,7 +574,7 @@ pub fn predict_many(
     seed: u64,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<Option<PyPrediction>>> {
-    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
     let map = field_for(grid, &tracks)?;
     let half_width = pair("half_width", half_width)?;
     let options = options! {
