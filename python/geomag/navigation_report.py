@@ -228,7 +228,9 @@ class NavigationReport:
             over.legend(loc="upper left")
             over.set_title(f"{self.name}, {self.method}")
             ratio = np.sort(
-                np.concatenate([(np.hypot(*r.error_m.T) / _radii_m(r.covariance_m2, 0.99))[r.counted] for r in self.runs])
+                np.concatenate(
+                    [(np.hypot(*r.error_m.T) / _radii_m(r.covariance_m2, 0.99))[r.counted] for r in self.runs]
+                )
             )
             beyond = 1 - np.arange(ratio.size) / ratio.size
             share.plot(ratio, beyond, color=COLOURS["matched"])
@@ -320,7 +322,8 @@ def calibrate_navigation(
     >>> from geomag.calibration import calibrate_navigation
     >>> field = synthetic.Crust(height_m=300.0).draw((0, 0, 40_000, 24_000), seed=4)
     >>> lines = synthetic.survey(field, line_spacing_m=400.0)
-    >>> report = calibrate_navigation(lines, hours=1.0, draws=1, flights=1)
+    >>> right = field.grid(100.0)  # not given, maps are made of the lines, which takes a while
+    >>> report = calibrate_navigation(lines, maps=[right] * 3, hours=1.0, draws=1, flights=1)
     >>> s = report.summary()
     >>> s["runs"], s["drms_m"] < 0.5 * s["unaided_drms_m"]
     (3.0, True)

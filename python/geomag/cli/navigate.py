@@ -6,19 +6,24 @@ import json
 import sys
 import tomllib
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+import numpy.typing as npt
 import typer
 
 from geomag._errors import InvalidInputError, MissingFileError
 from geomag._geomag import GridMap, InsModel, Navigator
+from geomag._navigation import Navigation
+from geomag._navigation import navigate as navigate_log
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import not_negative, output, picture, positive, share
 from geomag.cli._common import jsonable
 from geomag.flight_log import FlightLog, LogRow, read_flight_log, read_rows
 from geomag.io import read_grid
 from geomag.survey import with_line_spacing
+
+Array = npt.NDArray[np.float64]
 
 GRADES = {"navigation": InsModel.navigation, "tactical": InsModel.tactical}
 #: Statuses whose position may be used.
@@ -112,7 +117,7 @@ def navigate(
             raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
         grid = with_line_spacing(grid, line_spacing_m)
     model = ins_model(ins)
-    options = {
+    options: dict[str, Any] = {
         "ins": model,
         "position_sigma_m": position_sigma_m,
         "reading_sigma": reading_sigma,
@@ -126,9 +131,7 @@ def navigate(
                 raise InvalidInputError(f"{name}: needed a log in a file, got a pipe")
         return live(Navigator(grid, **options), columns)
     flown = read_flight_log(log, **columns)
-    from geomag._navigation import navigate as whole
-
-    flight = whole(
+    flight = navigate_log(
         grid,
         flown.time_s,
         flown.x,
@@ -158,12 +161,13 @@ def navigate(
     return 0 if flight.status[-1] in USABLE else NO_FIX
 
 
-def tell(grid: GridMap, flight: object, truth: object, *, as_json: bool) -> None:
+def tell(grid: GridMap, flight: Navigation, truth: tuple[Array, Array] | None, *, as_json: bool) -> None:
     """Print how the flight ends and its figures."""
     from geomag._navigation import Navigation
 
     assert isinstance(flight, Navigation)
-    figures = flight.summary(truth)  # type: ignore[arg-type]
+    figures = flight.summary(truth)
+    figures["protection_level_median_m"] = figures.pop("protection_level_m")
     if as_json:
         last = {
             "status": str(flight.status[-1]), "reason": str(flight.reason[-1]), "ok": bool(flight.status[-1] in USABLE), "time_s": flight.time_s[-1],
@@ -192,7 +196,7 @@ def tell(grid: GridMap, flight: object, truth: object, *, as_json: bool) -> None
         )
 
 
-def write_track(path: Path, flight: object, log: FlightLog) -> None:
+def write_track(path: Path, flight: Navigation, log: FlightLog) -> None:
     """Write the corrected track, a row a step."""
     from geomag._navigation import Navigation
 

@@ -150,17 +150,15 @@ def _registration(found: list[tuple[float, Array, Array]]) -> tuple[float, float
     """Size and length of the displacement of features that is most likely, stretches of every length weighing alike."""
     if not found:
         return None
-    trials = [(length, size) for length in LENGTHS for size in DISPLACEMENTS]
-    losses = np.zeros(len(trials))
+    losses = np.zeros((LENGTHS.size, DISPLACEMENTS.size))
     for stretch, moved, spread in found:
-        for k, (length, size) in enumerate(trials):
-            common = size**2 * float(mean_variance(stretch, length))
-            a, b, c = spread[:, 0, 0] + common, spread[:, 0, 1], spread[:, 1, 1] + common
-            det = a * c - b * b
-            square = (c * moved[:, 0] ** 2 - 2 * b * moved[:, 0] * moved[:, 1] + a * moved[:, 1] ** 2) / det
-            losses[k] += float(np.mean(0.5 * np.log(det) + 0.5 * (NU + 2) * np.log1p(square / NU)))
-    length, size = trials[int(np.argmin(losses))]
-    return float(size), float(length)
+        common = mean_variance(stretch, LENGTHS)[:, None, None] * DISPLACEMENTS[None, :, None] ** 2
+        a, b, c = spread[:, 0, 0] + common, spread[:, 0, 1], spread[:, 1, 1] + common
+        det = a * c - b * b
+        square = (c * moved[:, 0] ** 2 - 2 * b * moved[:, 0] * moved[:, 1] + a * moved[:, 1] ** 2) / det
+        losses += np.mean(0.5 * np.log(det) + 0.5 * (NU + 2) * np.log1p(square / NU), axis=2)
+    k, j = np.unravel_index(int(np.argmin(losses)), losses.shape)
+    return float(DISPLACEMENTS[j]), float(LENGTHS[k])
 
 
 def learn_filter(
