@@ -33,6 +33,7 @@ from geomag._geomag import fly as _fly
 from geomag._inertial import Inertial, InertialError, draw_inertial_error, indicate, strapdown
 from geomag._metres import metres_per_unit
 from geomag._ranges import above, at_least
+from geomag._vehicle import CalibrationFlight, VehicleField, attitude_along, calibration_box
 from geomag.survey import Lines
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from geomag._geomag import GridMap
 
 __all__ = [
+    "CalibrationFlight",
     "Crust",
     "Flight",
     "Inertial",
@@ -54,6 +56,9 @@ __all__ = [
     "Sensor",
     "SyntheticField",
     "Uniform",
+    "VehicleField",
+    "attitude_along",
+    "calibration_box",
     "draw_inertial_error",
     "fly",
     "indicate",
