@@ -106,11 +106,11 @@ def magnav(data_file):
 
 
 def noise(length_m: float, shape: tuple[int, int], cell: float, rng: np.random.Generator):
-    """Errors correlated as exp(-r / length), standard deviation one."""
+    """Errors of a map that is right at its data, of that correlation length along a line and standard deviation one."""
     ky = 2 * np.pi * np.fft.fftfreq(shape[0], cell)
     kx = 2 * np.pi * np.fft.rfftfreq(shape[1], cell)
     k = np.hypot(ky[:, None], kx[None, :])
-    power = (1 + (k * length_m) ** 2) ** -1.5
+    power = (2 * k * length_m) ** 2 * (1 + (2 * k * length_m) ** 2) ** -2.5
     field = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) * np.sqrt(power), s=shape)
     return field / field.std()
 

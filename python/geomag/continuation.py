@@ -186,6 +186,11 @@ class _Waves:
             return np.zeros(self.shape)
         return np.clip(1.0 - self._cut(self.cover * np.exp(-self.k * abs(height_m))), 0.0, 1.0)
 
+    def scale(self) -> float:
+        """Integral scale of the map, metres: over which it is much the same."""
+        rings, power = self.power()
+        return float((power / rings).sum() / max(power.sum(), 1e-300))
+
     def power(self) -> tuple[Array, Array]:
         """Wave numbers of rings, and the variance of the map in each."""
         weight = np.full(self.k.shape, 2.0)
@@ -204,9 +209,14 @@ class _Waves:
 
 
 def _error_law(length_m: float, most: float) -> tuple[Array, Array]:
-    """Wave numbers, and the share of an error's variance in each, for errors correlated as exp(-r / length) in the plane."""
-    k = np.geomspace(1e-3 / length_m, max(most, 10.0 / length_m), 400)
-    density = k * length_m**2 * (1.0 + (k * length_m) ** 2) ** -1.5
+    """Wave numbers, and the share of an error's variance in each, for errors that go together over a length along a line.
+
+    A map is right at its data: its errors have no waves much longer than the gaps, and fall off as those of any interpolation
+    do. Their power in the plane is taken as (k l)^2 (1 + (k l)^2)^(-5/2), whose integral scale along a line is l / 2.
+    """
+    own = 2.0 * length_m
+    k = np.geomspace(1e-3 / own, max(most, 10.0 / own), 400)
+    density = k * (k * own) ** 2 * (1.0 + (k * own) ** 2) ** -2.5
     # What lies beyond the shortest wave of the map is in the map as well, folded: nothing is lost.
     weight = density * np.gradient(k)
     return k, weight / weight.sum()
@@ -257,12 +267,16 @@ def _sigma_layer(grid: GridMap) -> Array | None:
 
 
 def _error_length(grid: GridMap) -> float:
-    """Correlation length of the map's errors, metres."""
+    """Correlation length of the map's errors, metres: where they are large, for that is what is continued."""
     model = grid.error_model
     if model is not None:
-        length = float(model["correlation"]) * float(np.nanmedian(model["distance_m"]))
-        if length > 0:
-            return length
+        distance = np.broadcast_to(np.asarray(model["distance_m"], dtype=float), grid.shape)
+        weight = np.ones(grid.shape) if grid.sigma is None else np.broadcast_to(np.asarray(grid.sigma) ** 2, grid.shape)
+        known = np.isfinite(distance) & np.isfinite(weight) & np.isfinite(np.asarray(grid.values))
+        if weight[known].sum() > 0:
+            length = float(model["correlation"]) * float((weight * distance)[known].sum() / weight[known].sum())
+            if length > 0:
+                return length
     return ERROR_CELLS * float(np.sqrt(np.prod(_metres(grid))))
 
 
@@ -328,8 +342,10 @@ def _one_level(
         waves = _Waves(values[seen], cell, edges)
         inner = slice(kept.start - seen.start, kept.stop - seen.start)
         spread = float(np.std((values[seen] - waves.plane)[waves.known]))
+        scale = waves.scale()
         own = stated[seen] if stated is not None else np.full(waves.shape, UNSTATED_ERROR * spread)
-        # The variance of an error that differs from place to place is that of where its waves come from.
+        # A variance that differs from place to place is averaged over the square of the kernel of continuation, which is about a
+        # normal law of standard deviation h / sqrt(2).
         uneven = _Waves(own**2, cell, "mirrored") if np.ptp(own) > 0 else None
         k, share = _error_law(length, float(waves.k.max()))
         for i, up in enumerate(up_m):
@@ -352,9 +368,11 @@ def _one_level(
                 ratio, longer = 0.0, 1.0
             continued = waves.through(transfer)
             beyond = waves.beyond(up)
-            smooth = own**2 if uneven is None else uneven.through(np.exp(-waves.k * abs(up)))
+            smooth = own**2 if uneven is None else uneven.through(np.exp(-0.25 * (waves.k * up) ** 2))
             variance = ratio * np.clip(smooth, 0.0, None) + missed
-            edge = EDGE_SHARE * spread * beyond
+            # A half plane at a distance d has a share h / (pi d); over such distances a field averages out as its own length over d.
+            reach = np.pi * scale * beyond / max(abs(up), 1e-300)
+            edge = EDGE_SHARE * spread * beyond * np.minimum(1.0, reach)
             if up < 0:
                 edge = edge * float(np.sqrt(1.0 + missed / max(spread**2, 1e-300)))
             continued[~waves.known] = np.nan
@@ -455,13 +473,14 @@ def continue_to(
 
     Notes
     -----
-    Every wave is multiplied by exp(-k h). The variance of an error that is correlated as exp(-r / L) in the plane falls to
+    Every wave is multiplied by exp(-k h). The variance of an error whose correlation length is L falls to
 
-        integral of k (1 + k^2 L^2)^(-3/2) exp(-2 k h) dk  over  the same with h = 0
+        integral of k^3 (1 + (2 k L)^2)^(-5/2) exp(-2 k h) dk  over  the same with h = 0
 
-    and its correlation length grows likewise. Sigma also has what may come from beyond the edges: a quarter of the map's spread
-    times the share of the value that does. A map without a sigma has none at other heights either; where the edge's
-    part is more than a cell's worth of gradient, it has holes there. Downward, Wiener's filter; what it holds back, as foretold by
+    (a map is right at its data, so that its errors have no long waves), and its correlation length grows likewise; L is that of the
+    error model where the errors are large, or two cells. Sigma also has what may come from beyond the edges: a quarter of the map's spread
+    times the share of the value that does, less where that comes from further than the map is alike. A map without a sigma has none at
+    other heights either; where the edge's part is more than a cell's worth of gradient, it has holes there. Downward, Wiener's filter; what it holds back, as foretold by
     an exponential fitted to the spectrum, is in sigma. Degrees of longitude are taken as constant over rows that differ by 2 %.
 
     Examples
