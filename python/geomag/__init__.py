@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from geomag._errors import (
     CandidateLimitError,
+    DataWarning,
     GeomagError,
     InvalidInputError,
     MissingDependencyError,
@@ -77,6 +78,7 @@ __all__ = [
     "CandidateLimitError",
     "ChosenSamples",
     "CorrectedPosition",
+    "DataWarning",
     "DeltaModulator",
     "ExtendedKalmanFilter",
     "FeedbackStep",

@@ -60,3 +60,7 @@ class UnknownVariableError(GeomagError, KeyError):
 
 class MissingDependencyError(GeomagError, ImportError):
     """An optional library is needed; the message names the extra that brings it."""
+
+
+class DataWarning(UserWarning):
+    """Something in a file or a stream was passed over or left out, and the rest is used; says what, how much and where."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from geomag._errors import GeomagError
+from geomag._errors import DataWarning, GeomagError
 from geomag._optional import require
 
 require("typer", "cli", "the geomag command")
@@ -68,7 +70,22 @@ from geomag.cli import bench, calibrate, demo, field, info, match, reproduce, st
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command and return the exit status."""
+    """Run one command and return the exit status; what readers tell goes to standard error, a line each."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", DataWarning)
+        plain = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:  # noqa: ANN401 - as warnings has it
+            if issubclass(category, DataWarning):
+                sys.stderr.write(f"geomag: {in_options(str(message))}\n")
+            else:
+                plain(message, category, *where, **more)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         from geomag.cli._settings import recorded
 
