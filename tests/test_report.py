@@ -168,7 +168,7 @@ def test_stream_answers_line_by_line(scene):
     folder, grid, flight = scene
     track = flight.track
     lines = [f"{t},{x},{y},{v}" for t, x, y, v in zip(track.time_s, track.x, track.y, track.values, strict=True)]
-    options = ["--sigma", "15", "--half-width-m", "2000", "--tolerance-m", "800", "--max-misses", "3", "--no-restart"]
+    options = ["--method", "iema", "--sigma", "15", "--half-width-m", "2000", "--tolerance-m", "800", "--max-misses", "3", "--no-restart"]
     process = subprocess.Popen(
         [sys.executable, "-m", "geomag", "stream", "map.nc", *options],
         cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,

@@ -31,6 +31,7 @@ from geomag._errors import (
     ReadError,
     ShapeError,
     StateError,
+    TimeError,
     TooFewSamplesError,
     UnknownVariableError,
 )
@@ -109,6 +110,7 @@ __all__ = [
     "ShapeError",
     "SlidingContour",
     "StateError",
+    "TimeError",
     "TooFewSamplesError",
     "Track",
     "UnknownVariableError",

@@ -2,20 +2,23 @@
 
 Input is CSV or NMEA 0183. CSV lines are `x,y,value` or `time,x,y,value`, or whatever a header line says; lines that start with #
 are passed over. NMEA has positions in GGA or RMC sentences and values in sentences `$PGMAG,<value>*hh` after them. A line that cannot be
-read is passed over and told. Output is one JSON object a sample. Nothing is buffered, so that a fix is there when its sample is.
+read is passed over and told. Output is one JSON object a sample, or MAVLink messages of the fixes. Nothing is buffered, so that a fix is there when its sample is.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
-from typing import Protocol, TextIO
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, BinaryIO, Protocol, TextIO
 
 from geomag._geomag import Fix
 from geomag.io._serial import Sample, read_csv, read_nmea
 
-__all__ = ["Matcher", "Sample", "Step", "read_csv", "read_nmea", "run"]
+if TYPE_CHECKING:
+    from geomag.mavlink import Encoder
+
+__all__ = ["Matcher", "Sample", "Step", "Writer", "json_lines", "mavlink_messages", "read_csv", "read_nmea", "run"]
 
 #: Those of `Fix.to_dict()`.
 _FIELDS = (
@@ -63,28 +66,55 @@ class Matcher(Protocol):
         ...
 
 
-def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO, *, restart: bool = True) -> Fix | None:
-    """Feed samples to a streaming matcher and write one JSON line for each; return the last fix that it gave.
+#: What becomes of a sample: the sample, the status after it, and the fix where the matcher looked for one.
+Writer = Callable[[Sample, str, Fix | None], None]
+
+
+def json_lines(out: TextIO) -> Writer:
+    """A writer of one JSON line a sample, flushed at once.
 
     A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix.
+    """
+
+    def write(sample: Sample, status: str, fix: Fix | None) -> None:
+        line = _nothing(status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
+        if sample.time_s is not None:
+            line["time_s"] = sample.time_s
+        out.write(json.dumps(line, allow_nan=False) + "\n")
+        out.flush()
+
+    return write
+
+
+def mavlink_messages(out: BinaryIO, encoder: Encoder) -> Writer:
+    """A writer of MAVLink messages (see `geomag.mavlink`), flushed at once; only fixes that may be used are sent."""
+
+    def write(sample: Sample, status: str, fix: Fix | None) -> None:
+        message = encoder.encode(fix, sample.time_s)
+        if message:
+            out.write(message)
+            out.flush()
+
+    return write
+
+
+def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO | Writer, *, restart: bool = True) -> Fix | None:
+    """Feed samples to a streaming matcher and write what it says after each; return the last fix that it gave.
 
     Parameters
     ----------
     matcher : a streaming matcher.
     samples : from `read_csv`, `read_nmea` or anything else.
-    out : where the lines go; flushed after each.
+    out : where JSON lines go (`json_lines`), or another writer, such as `mavlink_messages`.
     restart : whether a matcher that has `reset()` begins anew after a fix or when lost.
     """
     last: Fix | None = None
+    write = out if callable(out) else json_lines(out)
     reset = getattr(matcher, "reset", None) if restart else None
     for sample in samples:
         step = matcher.update(sample.x, sample.y, sample.value)
         fix = step if isinstance(step, Fix) else step.fix
-        line = _nothing(step.status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
-        if sample.time_s is not None:
-            line["time_s"] = sample.time_s
-        out.write(json.dumps(line, allow_nan=False) + "\n")
-        out.flush()
+        write(sample, step.status if fix is None else fix.status, fix)
         if fix is None:
             continue
         last = fix

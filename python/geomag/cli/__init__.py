@@ -66,7 +66,7 @@ def _main(
 
 
 # Each registers its command on `app`.
-from geomag.cli import bench, calibrate, demo, field, info, match, reproduce, stream, suitability  # noqa: E402, F401
+from geomag.cli import bench, calibrate, demo, field, info, map, match, reproduce, stream, suitability  # noqa: E402, F401
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -77,12 +77,19 @@ def run(arguments: Sequence[str]) -> int:
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:  # noqa: ANN401 - as warnings has it
             if issubclass(category, DataWarning):
-                sys.stderr.write(f"geomag: {in_options(str(message))}\n")
+                sys.stderr.write(f"geomag: {_here(message)}\n")
             else:
                 plain(message, category, *where, **more)
 
         warnings.showwarning = show  # type: ignore[assignment]
         return _run(arguments)
+
+
+def _here(message: Warning | Exception | str) -> str:
+    """What the library says, in the words of the command line."""
+    from geomag.cli._settings import options_of
+
+    return in_options(str(message), options_of(typer.main.get_command(app)))
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -95,9 +102,7 @@ def _run(arguments: Sequence[str]) -> int:
         sys.stderr.write("geomag: interrupted\n")
         return 130
     except GeomagError as error:
-        from geomag.cli._settings import options_of
-
-        sys.stderr.write(f"geomag: {in_options(str(error), options_of(typer.main.get_command(app)))}\n")
+        sys.stderr.write(f"geomag: {_here(error)}\n")
         return BAD_INPUT
     except (OSError, OverflowError, MemoryError) as error:
         # A full disk, a number beyond what the core counts with.

@@ -174,7 +174,7 @@ def save_grid(grid: GridMap, path: str | Path) -> None:
     if grid.crs:
         from geomag.io._units import crs_of
 
-        dataset["crs"] = ((), 0, {"crs_wkt": crs_of(grid.crs).to_wkt(), "geomag_crs": grid.crs})
+        dataset["crs"] = ((), 0, {"crs_wkt": crs_of(grid.crs).to_wkt(version="WKT2_2019")})
         dataset[name].attrs["grid_mapping"] = "crs"
     dataset.attrs["Conventions"] = "CF-1.11"
     encoding = {n: {"zlib": True, "_FillValue": np_nan(dataset[n].dtype)} for n in (name, *layers)}

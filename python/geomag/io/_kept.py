@@ -28,9 +28,8 @@ def _known(grid: GridMap) -> dict[str, Any]:
     known: dict[str, Any] = {}
     if grid.sigma is not None:
         known["sigma"] = grid.sigma
-    height = getattr(grid, "height_m", None)
-    if height is not None:
-        known["height_m"] = height
+    if grid.height_m is not None:
+        known["height_m"] = grid.height_m
     model = grid.error_model
     for key, value in (model or {}).items():
         if value is not None:
@@ -66,7 +65,7 @@ def put(grid: GridMap, array: xr.DataArray) -> xr.DataArray:
     if coords:
         array = array.assign_coords(coords)
     array.attrs[MARK] = json.dumps(
-        {"format": _FORMAT, "axes": axes, "shape": grid.shape, "numbers": numbers, "layers": layers, "name": grid.name,
+        {"format": _FORMAT, "axes": axes, "shape": grid.shape, "numbers": numbers, "layers": layers, "name": grid.name, "crs": grid.crs,
          "geographic": grid.geographic}
     )  # fmt: skip
     return array
@@ -78,7 +77,7 @@ def _read(text: object, where: str) -> dict[str, Any]:
     try:
         kept = json.loads(str(text))
         if kept["format"] > _FORMAT:
-            raise ReadError(f"{where}: needed a map kept by this or an older version, got format {kept['format']}")
+            raise ReadError(f"{where}: needed '{MARK}' of this or an older version, got format {kept['format']}")
         (x0, dx), (y0, dy) = kept["axes"]
         good = all(math.isfinite(v) for v in (x0, dx, y0, dy)) and isinstance(kept["numbers"], dict)
         if not good or not isinstance(kept["layers"], dict) or len(kept["shape"]) != 2:
@@ -132,24 +131,22 @@ def _rebuilt(grid: GridMap, kept: dict[str, Any], layer: Any, override: bool) ->
             raise ReadError(f"map '{grid.name}': needed the layer '{name}' that it was kept with, got none")
         known[key] = np.asarray(values)
     model = {k.partition(".")[2]: _tuple(v) for k, v in known.items() if k.startswith("error_model.")}
+    # A sigma that the caller gives stands for all that is known of the errors.
     sigma = grid.sigma if override else known.get("sigma")
-    more = {"height_m": known["height_m"]} if "height_m" in known else {}
     (x0, dx), (y0, dy) = kept["axes"]
-    rows, columns = grid.shape
-    axes = (x0 + dx * np.arange(columns), y0 + dy * np.arange(rows))
-    name = kept.get("name", grid.name)
-    if [columns, rows] == list(kept["shape"])[::-1]:
-        text = (name, grid.units, grid.crs)
-        parts = list(grid.__reduce__()[1])
-        parts[1], parts[3], parts[4], parts[5] = ((x0, dx), (y0, dy)), sigma, text, None
-        out: GridMap = GridMap._restore(*parts)
-    else:
-        out = GridMap(
-            grid.values, *axes, geographic=grid.geographic, sigma=sigma, name=name, units=grid.units, crs=grid.crs
-        )
-    if more and hasattr(out, "with_height"):
-        out = out.with_height(**more)
-    return out.with_error_model(**model) if model else out
+    text = (kept.get("name", grid.name), grid.units, kept.get("crs", grid.crs))
+    restore: Any = GridMap._restore
+    out: GridMap = restore(grid.values, ((x0, dx), (y0, dy)), grid.geographic, sigma, text, None, known.get("height_m"))
+    return out.with_error_model(**model) if model and not override else out
+
+
+def labelled(grid: GridMap, *, name: str | None, units: str | None, crs: str | None) -> GridMap:
+    """The same map under a name, with the unit of its values and its coordinate reference system."""
+    parts = list(grid.__reduce__()[1])
+    parts[4] = (name, units, crs)
+    restore: Any = GridMap._restore
+    out: GridMap = restore(*parts)
+    return out
 
 
 def _tuple(value: Any) -> Any:  # noqa: ANN401 - a number or several

@@ -106,7 +106,7 @@ def understand(index: int, name: str, unit: str | None = None) -> Column:
     base, own = _split_unit(name)
     unit = unit or own
     compact = _compact(base)
-    words = set(re.split(r"[^a-z0-9]+", base.lower()))
+    words = re.split(r"[^a-z0-9]+", base.lower())
     kind, system = _kind(compact, words, unit)
     if kind in ("x", "y") and unit is not None:
         if is_degree(unit):
@@ -120,7 +120,8 @@ def understand(index: int, name: str, unit: str | None = None) -> Column:
     return Column(index, name, kind, system, unit)
 
 
-def _kind(compact: str, words: set[str], unit: str | None) -> tuple[Kind, System]:
+def _kind(compact: str, words_in_order: list[str], unit: str | None) -> tuple[Kind, System]:
+    words = set(words_in_order)
     for names, kind, system in (
         (_LONGITUDE, "x", "geographic"), (_LATITUDE, "y", "geographic"), (_EASTING, "x", "projected"),
         (_NORTHING, "y", "projected"), (_X, "x", None), (_Y, "y", None), (_TIME, "time", None), (_DATE, "date", None),
@@ -128,6 +129,10 @@ def _kind(compact: str, words: set[str], unit: str | None) -> tuple[Kind, System
     ):  # fmt: skip
         if compact in names:
             return kind, system  # type: ignore[return-value]
+    # Whose longitude it is (`ins_lon`, `gps1_longitude`) does not make it another thing, but two of them are asked about.
+    last = re.sub(r"[^a-z]", " ", " ".join(words_in_order)).split()[-1:] or [""]
+    if last[0] in ("lon", "longitude", "lng", "lat", "latitude"):
+        return ("x" if last[0] in _LONGITUDE else "y"), "geographic"
     field = field_unit(unit) if unit and tidy(unit) not in ("m/s2", "m/s^2", "m/s²") else None
     if compact in _HEIGHT and field is None:
         return "height", None

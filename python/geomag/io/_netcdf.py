@@ -169,7 +169,7 @@ def _decoded(dataset: xr.Dataset, name: str, fills: dict[str, Any], where: str) 
             plain = {k: a for k, a in axis.attrs.items() if k not in _PACKING}
             numbers = unpacked(axis, fills, f"{where}, '{dim}'") if axis.dtype.kind in "iuf" else axis.values
             coords[dim] = (dim, numbers, plain)
-    attributes = {k: a for k, a in v.attrs.items() if k not in _PACKING}
+    attributes = {k: a for k, a in v.attrs.items() if k not in (*_PACKING, _kept.MARK)}
     values = unpacked(v, fills, f"{where}, '{name}'")
     array: xr.DataArray = xarray.DataArray(values, coords=coords, dims=v.dims, name=name, attrs=attributes)
     return array

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError, ReadError
 from geomag._optional import require
+from geomag.io import _bag, _dataflash, _magnav, _mgd77, _ulog
 from geomag.io._names import Column, columns_of
-from geomag.io._text import Table, existing, read_text
+from geomag.io._text import Table, decoded, existing, parse, plain_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,9 +40,29 @@ def _iso(stamp: Any) -> str:  # noqa: ANN401 - a pandas timestamp
     return "" if stamp != stamp else str(stamp.isoformat())  # noqa: PLR0124 - not a time is unequal to itself
 
 
-def load_table(path: str | Path) -> Table:
-    """The table of a file: Parquet, else text, compressed or not."""
+def load_table(path: str | Path, position: str | None = None, reading: str | None = None) -> Table:
+    """The table of a file: a log of a vehicle, Parquet, marine tracklines, else text, compressed or not.
+
+    `position` and `reading` name streams of a log; other files have none.
+    """
+    path = Path(path)
+    if path.is_dir() and _bag.is_bag(path, b""):
+        return _bag.bag_table(path, position, reading)
     path = existing(path)
+    with path.open("rb") as file:
+        head = file.read(16)
+    if head.startswith(_ulog.MAGIC):
+        return _ulog.ulog_table(path, position, reading)
+    if head.startswith(_dataflash.MAGIC):
+        return _dataflash.dataflash_table(path, position, reading)
+    if _bag.is_bag(path, head):
+        return _bag.bag_table(path, position, reading)
+    if head.startswith(b"\x89HDF") and _magnav.is_magnav_flight(path):
+        return _magnav.magnav_table(path, position, reading)
+    if position is not None or reading is not None:
+        raise InvalidInputError(
+            f"{path}: needed no position= and reading=, which name the streams of a log, for a table"
+        )
     if path.suffix.lower() in (".parquet", ".pq"):
         pandas = require("pandas", "io", "reading Parquet")
         try:
@@ -51,7 +72,11 @@ def load_table(path: str | Path) -> Table:
         if not len(frame):
             raise ReadError(f"{path}: needed a readable table with at least one row, got none")
         return table_from_pandas(frame, str(path))
-    return read_text(path)
+    text = decoded(plain_bytes(path.read_bytes(), str(path)), str(path))
+    if _mgd77.looks_like_mgd77(text):
+        return _mgd77.mgd77_table(text, str(path))
+    table = parse(text, str(path))
+    return _mgd77.m77t_table(table, str(path)) if _mgd77.looks_like_m77t(text) else table
 
 
 def read_table(path: str | Path) -> pd.DataFrame:

@@ -343,9 +343,3 @@ def existing(path: str | Path) -> Path:
     if path.is_dir():
         raise ReadError(f"file: needed a file, got the folder {path}")
     return path
-
-
-def read_text(path: str | Path) -> Table:
-    """The table of a text file, compressed or not."""
-    path = existing(path)
-    return parse(decoded(plain_bytes(path.read_bytes(), str(path)), str(path)), str(path))

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._errors import InvalidInputError
+from geomag._errors import TimeError
 from geomag.io._units import SECONDS, tidy
 
 Array = NDArray[np.float64]
-Ask = Callable[[str], InvalidInputError]
+Ask = Callable[[str], TimeError]
 
 _DAY = 86_400.0
 _CLOCK = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d+))?)?\s*([AaPp]\.?[Mm]\.?)?"
@@ -115,10 +115,10 @@ def _relative(parsed: list[Parsed], where: str) -> Array:
     """Seconds since the first; times of day go on over midnight."""
     kinds = {p[2] for p in parsed}
     if len(kinds) > 1:
-        raise InvalidInputError(f"{where}: needed dates throughout, or times of day throughout, got both")
+        raise TimeError(f"{where}: needed dates throughout, or times of day throughout, got both")
     zones = {p[1] is None for p in parsed}
     if len(zones) > 1:
-        raise InvalidInputError(f"{where}: needed a time zone at every time or at none, got both")
+        raise TimeError(f"{where}: needed a time zone at every time or at none, got both")
     seconds = np.array([p[0] for p in parsed])
     return np.asarray((over_midnight(seconds) if kinds == {False} else seconds) - seconds[0])
 
@@ -135,7 +135,7 @@ def _rising(t: Array) -> bool:
 def from_text(texts: Sequence[str], where: str) -> Array | None:
     """Seconds since the first of dates or times of day; None for what is neither.
 
-    Raises `InvalidInputError` for dates that can be read day first and month first with different results.
+    Raises `TimeError` for dates that can be read day first and month first with different results.
     """
     texts = [t.strip().strip('"') for t in texts]
     day_first = _all(texts, True)
@@ -151,7 +151,7 @@ def from_text(texts: Sequence[str], where: str) -> Array | None:
     runs = [_rising(t) and float(np.diff(t).max(initial=0.0)) <= _DAY for t in (one, other)]
     if runs[0] != runs[1]:
         return one if runs[0] else other
-    raise InvalidInputError(
+    raise TimeError(
         f"{where}: needed dates that can be read in one way, got '{texts[0]}' to '{texts[-1]}', which may be day first or month "
         "first; write them as YYYY-MM-DD, or read without times (time=False)"
     )
@@ -176,10 +176,10 @@ def from_numbers(numbers: Array, unit: str | None, where: str, step_m: Array | N
         if tidy(unit) in ("hhmmss", "hhmm"):
             clock = _hhmmss(numbers, tidy(unit) == "hhmmss")
             if clock is None:
-                raise InvalidInputError(f"{where}: needed times as {tidy(unit)}, got {numbers[0]:g} to {numbers[-1]:g}")
+                raise TimeError(f"{where}: needed times as {tidy(unit)}, got {numbers[0]:g} to {numbers[-1]:g}")
             return over_midnight(clock)
         if tidy(unit) not in SECONDS:
-            raise InvalidInputError(
+            raise TimeError(
                 f"{where}: needed a unit of time (s, ms, us, ns, min, h, days, hhmm or hhmmss), got {unit!r}"
             )
         return _scaled(numbers, SECONDS[tidy(unit)])
@@ -214,8 +214,8 @@ def from_numbers(numbers: Array, unit: str | None, where: str, step_m: Array | N
 
 
 def _asked(where: str, numbers: Array) -> Ask:
-    def ask(why: str) -> InvalidInputError:
-        return InvalidInputError(
+    def ask(why: str) -> TimeError:
+        return TimeError(
             f"{where}: needed times in seconds, got {numbers[0]:.15g} to {numbers[-1]:.15g}, which cannot be ({why}); give "
             "time_unit= (s, ms, us, ns, min, h, days, hhmm or hhmmss), or read without times (time=False)"
         )
@@ -250,7 +250,7 @@ class Clock:
         return seconds + self._days
 
     def seconds(self, text: str, where: str) -> float:
-        """Seconds of one field; ValueError for what is no time, InvalidInputError for a date with two readings."""
+        """Seconds of one field; ValueError for what is no time, TimeError for a date with two readings."""
         text = text.strip().strip('"')
         try:
             plain = float(text)
@@ -274,7 +274,7 @@ class Clock:
         if one is None and other is None:
             raise ValueError(text)
         if one is not None and other is not None and one != other:
-            raise InvalidInputError(
+            raise TimeError(
                 f"{where}: needed dates that can be read in one way, got '{text}'; write them as YYYY-MM-DD"
             )
         seconds, _, dated = (one or other or [])[0]

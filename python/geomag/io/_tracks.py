@@ -126,8 +126,13 @@ def read_track(
     time_unit: str | None = None,
     missing: Missing = "error",
     grid: GridMap | None = None,
+    position: str | None = None,
+    reading: str | None = None,
 ) -> Track:
-    r"""Read an indicated track with measured values from CSV (also compressed), other text or Parquet.
+    r"""Read an indicated track with measured values from CSV (also compressed), other text, Parquet, or the log of a vehicle.
+
+    Logs are PX4 ULog, ArduPilot dataflash, ROS bags, MagNav HDF5, MGD77 and M77T; the kind is found from a file's first bytes. In a log of a vehicle the
+    reading is the strength of its magnetometer in nT, and positions are those of its navigation, at the times of the readings.
 
     Columns are known by their names and units (`Lat (deg)`, `X_km`, `mag_nT`), in any case and order. Where two may be meant, or
     none is known, an error names the columns and the keyword to give; their order is never taken for a meaning.
@@ -140,6 +145,8 @@ def read_track(
     time_unit : of times that are numbers (s, ms, us, ns, min, h, days, hhmm, hhmmss), where the file does not say it.
     missing : what to do with rows where position or value is missing: 'error' names the first, 'drop' leaves them out.
         Dummies of other programs (99999, -1e32, ...) are always left out, and told by a `DataWarning`.
+    position, reading : streams of a log (`vehicle_global_position`, `MAG[1]`, `/imu/mag`, `mag_1_uc`), where it has several; a number of any
+        other message is `message.field`.
     grid : a map that the track is for: its unit chooses among several readings, and degrees are not taken for metres.
 
     Returns
@@ -162,7 +169,8 @@ def read_track(
     >>> len(track), track.values.tolist(), track.time_s.tolist()
     (2, [31.5, 35.0], [0.0, 8.0])
     """
-    return track_of(load_table(path), x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid)
+    table = load_table(path, position, reading)
+    return track_of(table, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid)
 
 
 def track_from_pandas(
@@ -219,9 +227,9 @@ def track_of(
     keep = np.asarray(~bad)
     if not keep.any():
         raise InvalidInputError(f"{where}: needed a position and a value in one row at least, got none")
-    geographic = bool(points.geographic)
     px, py, values = points.x[keep], points.y[keep], points.values[keep]
-    seconds = _seconds(table, time, time_unit, keep, steps_m(px, py, geographic))
+    step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
+    seconds = _seconds(table, time, time_unit, keep, step_m)
     return Track(px, py, values, time_s=seconds)
 
 
@@ -270,7 +278,11 @@ def _told(text: str) -> None:
 
 
 def _seconds(
-    table: Table, asked: str | int | Literal[False] | None, unit: str | None, keep: NDArray[np.bool_], step_m: Array
+    table: Table,
+    asked: str | int | Literal[False] | None,
+    unit: str | None,
+    keep: NDArray[np.bool_],
+    step_m: Array | None,
 ) -> Array | None:
     """Times of the rows that are kept, seconds; None where there are none that can be understood and none were asked for."""
     if asked is False:
