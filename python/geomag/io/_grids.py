@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
-from geomag._errors import InvalidInputError, ReadError
+from geomag._errors import InvalidInputError, ReadError, UnknownVariableError
 from geomag._geomag import GridMap
 from geomag._optional import require
 from geomag.io._gxf import read_gxf
@@ -143,7 +144,11 @@ def _of_points(
                 "their numbers from 0, such as columns=(2, 3, 5)"
             )
         chosen = (0, 1, 2)
-    points = points_of(table, *chosen, geographic=geographic, height_too=True)
+    try:
+        points = points_of(table, *chosen, geographic=geographic, height_too=True)
+    except UnknownVariableError as error:
+        told = re.sub(r"; name (it|one) with \w+=$", "", str(error))
+        raise UnknownVariableError(f"{told}; name them with columns=(x, y, value)") from error
     if points.geographic is None:
         raise ask_kind(table.where)
     grid, xs, ys = lattice(points.x, points.y, points.values, table.where)

@@ -21,7 +21,7 @@ def closed(x: NDArray[Any], layers: list[NDArray[Any] | None]) -> tuple[NDArray[
         return x, layers
     turned = np.unwrap(x, period=360.0)
     step = (turned[-1] - turned[0]) / (len(x) - 1)
-    if step == 0.0 or np.abs(np.diff(turned) - step).max() > 0.02 * abs(step):
+    if not 300.0 < abs(step) * len(x) < 420.0 or np.abs(np.diff(turned) - step).max() > 0.02 * abs(step):
         return x, layers
     count = round(360.0 / abs(step))
     if abs(count * abs(step) - 360.0) > 0.02 * abs(step) or len(x) not in (count, count + 1):

@@ -65,7 +65,7 @@ def read_netcdf(
         if mapping not in dataset.variables:
             raise InvalidInputError(f"{path}: needed the grid mapping '{mapping}' that '{variable}' names, got none")
         crs = mapping_crs(dataset[mapping].attrs, str(path))
-    grid = grid_from_xarray(array, geographic=geographic, sigma=layer, x=x, y=y, crs=crs)
+    grid = _of_array(array, geographic, layer, x, y, crs, f"{path}, variable '{variable}'")
     return _kept.restored(grid, dataset, variable, kept, override=sigma is not None) if kept else grid
 
 
@@ -238,9 +238,20 @@ def grid_from_xarray(
     where nothing says so, `x=` names it. Units of length are turned to metres, and a `crs` (argument or attribute) with them. A map of the whole
     circle of longitude is carried on for ten degrees beyond its seam. What `GridMap.to_xarray` kept of sigma and error model comes back.
     """
+    return _of_array(data_array, geographic, sigma, x, y, crs, f"data array '{data_array.name}'")
+
+
+def _of_array(
+    data_array: xr.DataArray,
+    geographic: bool | None,
+    sigma: xr.DataArray | float | None,
+    x: str | None,
+    y: str | None,
+    crs: object,
+    where: str,
+) -> GridMap:
     kept = _kept.of_array(data_array)
     array = data_array.squeeze(drop=True)
-    where = f"data array '{data_array.name}'"
     if array.ndim != 2:
         raise InvalidInputError(f"{where}: needed two dimensions, got {dict(data_array.sizes)}")
     dims = (str(array.dims[0]), str(array.dims[1]))
