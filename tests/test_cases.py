@@ -178,7 +178,15 @@ def grid_global_0_358():
 
 
 def web_mercator():
-    pytest.skip("one frame for map and log is tested with the frames")
+    pytest.importorskip("pyproj", reason="needs the extra 'geo'")
+    grid = geomag.read_grid(CASES / "map-web-mercator.tif")
+    assert grid.spacing_m == pytest.approx((200.0, 200.0), rel=0.02)
+    track = geomag.read_track(CASES / "log-web-mercator.csv")
+    east, north = grid.metres_per_unit(float(track.y[-1]))
+    fix = geomag.match_grid(grid, track, half_width=(1500 / east, 1500 / north), criterion="msd")
+    assert fix.ok
+    assert fix.offset_m == pytest.approx((-800.0, 500.0), abs=30.0)
+    assert (fix.x, fix.y) == pytest.approx((1116886.7, 8401955.4), abs=60.0)
 
 
 def z_is_height():
@@ -206,6 +214,8 @@ def local_metres():
     grid = geomag.read_grid(CASES / "map-local-metres.nc")
     with pytest.raises(geomag.InvalidInputError, match="in metres as the map's"):
         geomag.read_track(CASES / "log-degrees.csv", grid=grid)
+    with pytest.raises(geomag.InvalidInputError, match="in metres as the map's"):
+        geomag.match_posterior(grid, geomag.read_track(CASES / "log-degrees.csv"), half_width=500.0, sigma=2.0)
 
 
 #: Every file of tests/cases, and what is checked of it.

@@ -53,7 +53,20 @@ def fix_json(fix: Fix, **more: object) -> str:
 
 
 def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
-    """Read a track for a map: its readings by their unit, or by the name of the map's variable where several may be; times only if they are clear.
+    """Read a track for a map and bring it to the map's coordinates; what was done for that is told on standard error."""
+    from geomag.projection import AlignedWarning, align
+
+    track = _read(path, grid, x, y, value, drop)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", AlignedWarning)
+        track = align(grid, track)
+    for said in told:
+        typer.echo(str(said.message), err=True)
+    return track
+
+
+def _read(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
+    """A track for a map: its readings by their unit, or by the name of the map's variable where several may be; times only if they are clear.
 
     No command that takes a track has a use for times that cannot be read, so that those are told and left.
     """

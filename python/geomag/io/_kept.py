@@ -30,6 +30,8 @@ def _known(grid: GridMap) -> dict[str, Any]:
         known["sigma"] = grid.sigma
     if grid.height_m is not None:
         known["height_m"] = grid.height_m
+    if grid.ground_scale is not None:
+        known["ground_scale"] = grid.ground_scale
     model = grid.error_model
     for key, value in (model or {}).items():
         if value is not None:
@@ -51,7 +53,7 @@ def put(grid: GridMap, array: xr.DataArray) -> xr.DataArray:
     layers: dict[str, str] = {}
     coords = {}
     for key, value in known.items():
-        if isinstance(value, np.ndarray) and value.shape == grid.shape:
+        if key != "ground_scale" and isinstance(value, np.ndarray) and value.shape == grid.shape:
             name = f"{array.name}_{key.replace('.', '_')}"
             layers[key] = name
             attributes = {"long_name": f"{key} of {array.name}"}
@@ -135,8 +137,12 @@ def _rebuilt(grid: GridMap, kept: dict[str, Any], layer: Any, override: bool) ->
     sigma = grid.sigma if override else known.get("sigma")
     (x0, dx), (y0, dy) = kept["axes"]
     text = (kept.get("name", grid.name), grid.units, kept.get("crs", grid.crs))
+    scale = known.get("ground_scale")
     restore: Any = GridMap._restore
-    out: GridMap = restore(grid.values, ((x0, dx), (y0, dy)), grid.geographic, sigma, text, None, known.get("height_m"))
+    out: GridMap = restore(
+        grid.values, ((x0, dx), (y0, dy)), grid.geographic, sigma, text, None, known.get("height_m"),
+        None if scale is None else np.array(scale),
+    )  # fmt: skip
     return out.with_error_model(**model) if model and not override else out
 
 

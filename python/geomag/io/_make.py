@@ -44,11 +44,16 @@ def make_map(
     units: str | None = None,
     crs: str | None = None,
 ) -> GridMap:
-    """A map with dummies left out and told, and closed where it goes round the earth."""
+    """A map with dummies left out and told, closed where it goes round the earth, with the scale of its projection."""
     values = without_dummies(values, where)
     if geographic:
         layer = sigma if isinstance(sigma, np.ndarray) else None
         own, (values, layer) = closed(x, [values, layer])  # type: ignore[assignment]
         if len(own) != len(x):
             x, sigma = own, layer if layer is not None else sigma
-    return GridMap(values, x, y, geographic=geographic, sigma=sigma, name=name, units=units, crs=crs)
+    grid = GridMap(values, x, y, geographic=geographic, sigma=sigma, name=name, units=units, crs=crs)
+    if geographic or crs is None:
+        return grid
+    from geomag.projection import true_scale
+
+    return true_scale(grid)

@@ -126,6 +126,7 @@ def read_track(
     time_unit: str | None = None,
     missing: Missing = "error",
     grid: GridMap | None = None,
+    height: str | int | None = None,
     position: str | None = None,
     reading: str | None = None,
 ) -> Track:
@@ -145,6 +146,7 @@ def read_track(
     time_unit : of times that are numbers (s, ms, us, ns, min, h, days, hhmm, hhmmss), where the file does not say it.
     missing : what to do with rows where position or value is missing: 'error' names the first, 'drop' leaves them out.
         Dummies of other programs (99999, -1e32, ...) are always left out, and told by a `DataWarning`.
+    height : column of the heights above the map's height datum; none by default, as files rarely say which datum theirs is.
     position, reading : streams of a log (`vehicle_global_position`, `MAG[1]`, `/imu/mag`, `mag_1_uc`), where it has several; a number of any
         other message is `message.field`.
     grid : a map that the track is for: its unit chooses among several readings, and degrees are not taken for metres.
@@ -170,7 +172,7 @@ def read_track(
     (2, [31.5, 35.0], [0.0, 8.0])
     """
     table = load_table(path, position, reading)
-    return track_of(table, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid)
+    return track_of(table, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid, height=height)
 
 
 def track_from_pandas(
@@ -200,6 +202,7 @@ def track_of(
     time_unit: str | None = None,
     missing: Missing = "error",
     grid: GridMap | None = None,
+    height: str | int | None = None,
 ) -> Track:
     """A track of a table; arguments as for `read_track`."""
     where = table.where
@@ -230,7 +233,12 @@ def track_of(
     px, py, values = points.x[keep], points.y[keep], points.values[keep]
     step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
     seconds = _seconds(table, time, time_unit, keep, step_m)
-    return Track(px, py, values, time_s=seconds)
+    heights = None
+    if height is not None:
+        column = asked_column(table.columns, height, where)
+        at = f"{where}, column '{column.name}'"
+        heights = without_dummies(table.floats(column), at)[keep] * metres_in(column.unit, at)
+    return Track(px, py, values, time_s=seconds, height_m=heights, geographic=points.geographic)
 
 
 def _fits(points: Points, grid: GridMap, where: str) -> None:
