@@ -24,8 +24,20 @@ from geomag.stream import read_csv, read_nmea
 CASES = Path(__file__).parent / "cases"
 LOGS = sorted(p for p in CASES.glob("log-*.csv"))
 STREAMS = [*LOGS, CASES / "stream-latitude-first.csv", CASES / "nmea-noise.txt"]
-TEXT_GRIDS = [CASES / n for n in ("grid-esri.asc", "grid-base90-dummy.gxf", "grid-rotated.gxf", "grid-surfer-blanks.xyz", "grid-emag2-columns.csv")]
-BINARY_GRIDS = [CASES / n for n in ("grid-longitude-first.nc", "grid-feet-grid-mapping.nc", "map-web-mercator.tif", "grid-degrees-oasis.grd")]
+TEXT_GRIDS = [
+    CASES / n
+    for n in (
+        "grid-esri.asc",
+        "grid-base90-dummy.gxf",
+        "grid-rotated.gxf",
+        "grid-surfer-blanks.xyz",
+        "grid-emag2-columns.csv",
+    )
+]
+BINARY_GRIDS = [
+    CASES / n
+    for n in ("grid-longitude-first.nc", "grid-feet-grid-mapping.nc", "map-web-mercator.tif", "grid-degrees-oasis.grd")
+]
 #: What people and programs put into text.
 WORDS = [b",", b";", b"\t", b" ", b"\n", b"\r\n", b"*", b"nan", b"-", b"99999", b"-1e32", b"1e400", b"#", b"/", b'"', b"\0", b"\xff", b"\xef\xbb\xbf",
          b"1_0", b"inf", b"0x10", b"1,5", b"12:00:00", b"2026-01-01", b"05/06/2026", b"lat", b"lon", b"x", b"time", b"(deg)", b"_km", b"mag_nT", b"Line 1", b"-0", b"1.7e15"]  # fmt: skip
@@ -60,7 +72,13 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 def numbers_of(data: bytes) -> np.ndarray:
     """All numbers that a text may be read to hold, sorted."""
-    text = data.decode("utf-8", "replace") + "\n" + data.decode("utf-16", "ignore") + "\n" + data.decode("cp1252", "replace")
+    text = (
+        data.decode("utf-8", "replace")
+        + "\n"
+        + data.decode("utf-16", "ignore")
+        + "\n"
+        + data.decode("cp1252", "replace")
+    )
     found = set()
     for token in (t for pattern in NUMBERS for t in pattern.findall(text)):
         for piece in {token, token.lstrip("+-")}:
@@ -102,8 +120,14 @@ def grid(data: bytes, name: str, folder: Path) -> np.ndarray:
     """Values of a map, which for text are to be in it."""
     path = folder / name
     path.write_bytes(data)
-    found = read_grid(path, geographic=None if name.endswith("nc") else "emag2" in name or "degrees" in name, **({"columns": (2, 3, 5)} if "emag2" in name else {}))
-    return np.asarray(found.values, dtype=np.float64).ravel() if name.endswith((".asc", ".xyz", ".csv")) else np.zeros(0)
+    found = read_grid(
+        path,
+        geographic=None if name.endswith("nc") else "emag2" in name or "degrees" in name,
+        **({"columns": (2, 3, 5)} if "emag2" in name else {}),
+    )
+    return (
+        np.asarray(found.values, dtype=np.float64).ravel() if name.endswith((".asc", ".xyz", ".csv")) else np.zeros(0)
+    )
 
 
 def one(kind: str, seed: int, folder: Path) -> str | None:
