@@ -118,6 +118,20 @@ def test_words_are_no_coordinates():
         geomag.GridMap.from_xarray(array, geographic=False)
 
 
+def test_values_come_in_nanotesla_or_milligal():
+    array = projected("m", "m")
+    for unit, ours, factor in (("uT", "nT", 1e3), ("gamma", "nT", 1.0), ("m/s2", "mGal", 1e5), ("counts", "counts", 1.0)):
+        array.attrs["units"] = unit
+        grid = geomag.GridMap.from_xarray(array)
+        assert (grid.units, grid.values.max()) == (ours, factor)
+
+
+def test_degrees_to_the_west_are_refused():
+    array = projected("degrees_west", "degrees_north").rename(easting="longitude", northing="latitude")
+    with pytest.raises(geomag.InvalidInputError, match="to the east"):
+        geomag.GridMap.from_xarray(array)
+
+
 def test_radians_are_no_degrees():
     array = projected("radian", "radian").rename(easting="longitude", northing="latitude")
     with pytest.raises(geomag.InvalidInputError, match="radian"):

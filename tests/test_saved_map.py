@@ -83,6 +83,15 @@ def test_plain_and_constant_knowledge(tmp_path):
         assert bits(geomag.GridMap.open(tmp_path / "map.nc")) == bits(each)
 
 
+def test_nothing_of_ones_own_is_a_dummy(tmp_path):
+    """Nor is a unit turned into another: what is saved comes back."""
+    values = np.arange(9.0).reshape(3, 3)
+    values[1, 1] = 99_999.0
+    grid = geomag.GridMap(values, [0, 50, 100], [0, 50, 100], units="uT")
+    grid.save(tmp_path / "map.nc")
+    assert bits(geomag.GridMap.open(tmp_path / "map.nc")) == bits(grid)
+
+
 def test_a_part_of_a_map_is_not_taken_for_the_whole():
     """Layers that no longer fit are not laid over other nodes."""
     part = geomag.GridMap.from_xarray(whole().to_xarray()[1:, 2:])

@@ -7,7 +7,7 @@ from typing import Any
 
 from geomag._errors import InvalidInputError
 from geomag.io._names import understand
-from geomag.io._units import METRES, crs_of, is_degree, tidy
+from geomag.io._units import METRES, check_sense, crs_of, is_degree, tidy
 
 _STANDARD = {"longitude": ("x", True), "latitude": ("y", True), "projection_x_coordinate": ("x", False),
              "projection_y_coordinate": ("y", False)}  # fmt: skip
@@ -94,6 +94,8 @@ def kind_of(
     where: str,
 ) -> bool:
     """Whether coordinates are degrees: units, then system, then names, then what the caller says; contradictions are refused."""
+    for unit in units:
+        check_sense(unit or "", where)
     degrees = [is_degree(u) for u in units if u and u.strip()]
     lengths = [tidy(u) in METRES for u in units if u and u.strip()]
     said: bool | None = None

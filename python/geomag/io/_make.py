@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geomag._geomag import GridMap
 from geomag.io._numbers import without_dummies
+from geomag.io._units import field_unit
 
 #: Degrees of itself that a map of the whole circle goes on beyond either end, so that searches cross the seam.
 SEAM_DEG = 10.0
@@ -44,8 +45,14 @@ def make_map(
     units: str | None = None,
     crs: str | None = None,
 ) -> GridMap:
-    """A map with dummies left out and told, closed where it goes round the earth, with the scale of its projection."""
+    """A map in nT or mGal where its unit is one of a field, with dummies left out and told, closed where it goes round the earth, with the scale of its projection."""
     values = without_dummies(values, where)
+    known = field_unit(units)
+    if known is not None:
+        units, factor = known
+        if factor != 1.0:
+            values = np.asarray(values, dtype=np.float64) * factor
+            sigma = None if sigma is None else np.asarray(sigma, dtype=np.float64) * factor
     if geographic:
         layer = sigma if isinstance(sigma, np.ndarray) else None
         own, (values, layer) = closed(x, [values, layer])  # type: ignore[assignment]

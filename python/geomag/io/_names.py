@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from geomag._errors import InvalidInputError, UnknownVariableError
-from geomag.io._units import DEGREES, FIELD, METRES, OTHER_ANGLES, SECONDS, field_unit, is_degree, tidy
+from geomag.io._units import DEGREES, FIELD, METRES, OTHER_ANGLES, SECONDS, check_sense, field_unit, is_degree, tidy
 
 Kind = Literal["x", "y", "value", "sigma", "height", "time", "date", "line", "other"]
 System = Literal["geographic", "projected", None]
@@ -110,6 +110,7 @@ def understand(index: int, name: str, unit: str | None = None) -> Column:
     kind, system = _kind(compact, words, unit)
     if kind in ("x", "y") and unit is not None:
         if is_degree(unit):
+            check_sense(unit, f"column '{name}'")
             if system == "projected":
                 raise InvalidInputError(f"column '{name}': needed one kind of coordinate, got {base!r} in {unit}")
             system = "geographic"
