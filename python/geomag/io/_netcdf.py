@@ -65,7 +65,7 @@ def read_netcdf(
         if mapping not in dataset.variables:
             raise InvalidInputError(f"{path}: needed the grid mapping '{mapping}' that '{variable}' names, got none")
         crs = mapping_crs(dataset[mapping].attrs, str(path))
-    grid = _of_array(array, geographic, layer, x, y, crs, f"{path}, variable '{variable}'", own=bool(kept))
+    grid = _of_array(array, geographic, layer, x, y, crs, f"{path}, variable '{variable}'", ours=bool(kept))
     return _kept.restored(grid, dataset, variable, kept, override=sigma is not None) if kept else grid
 
 
@@ -250,9 +250,9 @@ def _of_array(
     crs: object,
     where: str,
     *,
-    own: bool = False,
+    ours: bool = False,
 ) -> GridMap:
-    """The map of an array; of one that geomag wrote (`own`) nothing is taken for a dummy or turned into another unit."""
+    """The map of an array; of one that geomag wrote (`ours`) nothing is taken for a dummy or turned into another unit."""
     kept = _kept.of_array(data_array)
     array = data_array.squeeze(drop=True)
     if array.ndim != 2:
@@ -290,7 +290,7 @@ def _of_array(
     name = str(data_array.name) if data_array.name is not None else None
     unit = data_array.attrs.get("units")
     units_ = None if unit is None else str(unit)
-    if own or kept:
+    if ours or kept:
         grid = GridMap(values, xs, ys, geographic=geographic, sigma=layer, name=name, units=units_, crs=text)
     else:
         grid = make_map(values, xs, ys, geographic=geographic, sigma=layer, name=name, units=units_, crs=text, where=where)
