@@ -66,11 +66,7 @@ def _main(
 
 
 # Each registers its command on `app`.
-<<<<<<< HEAD
-from geomag.cli import bench, calibrate, demo, field, info, map, match, reproduce, stream, suitability  # noqa: E402, F401
-=======
-from geomag.cli import bench, calibrate, demo, field, info, match, navigate, reproduce, stream, suitability  # noqa: E402, F401
->>>>>>> main
+from geomag.cli import bench, calibrate, demo, field, info, map, match, navigate, reproduce, stream, suitability  # noqa: E402, F401
 
 
 def run(arguments: Sequence[str]) -> int:
