@@ -46,7 +46,7 @@ _VALUE = re.compile(
     r"totalfield|totalfieldanomaly|totalmagneticfield|totalmagneticintensity|totalintensity|totalmagneticanomaly|"
     r"magneticanomaly|magneticfield|magneticintensity|maganomaly|maganom|magneticintensityanomaly|btotal|bmag|fieldintensity|"
     r"residual|residualfield|gravity|grav|gravityanomaly|gravitydisturbance|freeair|freeairanomaly|faa|fag|bouguer|"
-    r"bougueranomaly|disturbance|crustal|crustalfield|magc|magcomp|magcompensated|magraw|rawmag|tmicomp)(\d{0,2})c?"
+    r"bougueranomaly|disturbance|crustal|crustalfield|magc|magcomp|magcompensated|magraw|rawmag|tmicomp|magtotal|totalmag|magfield|fieldstrength|magneticfieldstrength|tmiraw|rawtmi)(\d{0,2})c?"
 )
 #: Words of a name that make it no reading although its unit is a field's.
 _NO_READING = {"sigma", "error", "err", "std", "stdev", "uncertainty", "unc", "noise", "rms", "accuracy", "igrf", "wmm",
@@ -54,6 +54,7 @@ _NO_READING = {"sigma", "error", "err", "std", "stdev", "uncertainty", "unc", "n
                "lag", "gradient", "grad"}  # fmt: skip
 _SPREAD = {"sigma", "error", "err", "std", "stdev", "uncertainty", "unc", "accuracy"}
 _BRACKETED = re.compile(r"^(.*?)[\s_]*[(\[{<]\s*([^)\]}>]*?)\s*[)\]}>]\s*$")
+_WITHIN = re.compile(r"^(\S.*?)\s*[(\[]\s*([^)\]]+?)\s*[)\]]\s*(\S.*)$")
 #: Units that an underscore or blank may set off at the end of a name.
 _ENDINGS = {u for table in (METRES, DEGREES, OTHER_ANGLES, FIELD, SECONDS) for u in table} - {
     "t",
@@ -91,6 +92,9 @@ def _split_unit(name: str) -> tuple[str, str | None]:
     found = _BRACKETED.match(name)
     if found and found[1]:
         return found[1], found[2] or None
+    inner = _WITHIN.match(name)
+    if inner and tidy(inner[2]) in _ENDINGS:
+        return f"{inner[1]} {inner[3]}", inner[2]
     words = re.split(r"[\s_\-/,.:]+", name)
     for count in (3, 2, 1):
         if len(words) > count:
@@ -108,7 +112,11 @@ def understand(index: int, name: str, unit: str | None = None) -> Column:
     compact = _compact(base)
     words = re.split(r"[^a-z0-9]+", base.lower())
     kind, system = _kind(compact, words, unit)
+    if kind in ("x", "y") and unit is not None and "utm" in unit.lower():
+        system, unit = "projected", None
     if kind in ("x", "y") and unit is not None:
+        if tidy(unit) in ("w", "west", "s", "south"):
+            check_sense(f"degrees {unit}", f"column '{name}'")
         if is_degree(unit):
             check_sense(unit, f"column '{name}'")
             if system == "projected":

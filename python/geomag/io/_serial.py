@@ -12,7 +12,7 @@ from geomag.io._names import Column, columns_of, coordinate_columns
 from geomag.io._numbers import is_decimal_comma, is_missing, is_number, number
 from geomag.io._text import is_datum, split_line, without_tail
 from geomag.io._times import Clock
-from geomag.io._units import field_unit, metres_in
+from geomag.io._units import field_unit, metres_in, tidy
 
 #: Readings of this size and more, and nines, stand for none; see `_numbers.dummies_of` for whole columns.
 _DUMMIES = {99_999.0, -99_999.0, 999_999.0, -999_999.0, -9_999.0, -999.0, 9_999_999.0, -32_768.0}
@@ -87,7 +87,7 @@ def _named(names: Sequence[str], separator: str, number_: int) -> _Form:
     known = field_unit(value.unit)
     return _Form(
         separator, len(names), x.index, y.index, value.index, None if time is None else time.index,
-        (scale_x, scale_y, 1.0 if known is None else known[1]), geographic, None if time is None else time.unit,
+        (scale_x, scale_y, 1.0 if known is None else known[1]), geographic, None if time is None or tidy(time.unit or "utc") in ("utc", "gmt", "local", "gps") else time.unit,
     )  # fmt: skip
 
 
