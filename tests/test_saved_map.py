@@ -125,7 +125,7 @@ def test_open_refuses_other_files(tmp_path):
 
 @pytest.fixture(scope="module")
 def survey():
-    field = synthetic.Crust().draw((0, 0, 16_000, 9_000), seed=4)
+    field = synthetic.Crust().draw((0, 0, 12_000, 12_000), seed=4)
     lines = synthetic.survey(field, line_spacing_m=500.0, sample_spacing_m=50.0, sigma=2.0)
     return field, lines
 
