@@ -29,7 +29,7 @@ ERROR_CELLS = 2.0
 #: Error of a map that states none, as a share of its spread: what goes down is held back by it.
 UNSTATED_ERROR = 1e-3
 #: Part of the field beyond an edge that what is known does not foretell, as a share of the map's own spread.
-EDGE_SHARE = 0.25
+EDGE_SHARE = 0.15
 #: Power of the wave number by which the power of crustal fields falls in the plane (Maus and Dimri 1994, doi 10.1029/94GL00771)
 #: and its least share of the greatest,
 #: steps in which it foretells the field beyond edges, a third of them on planes of more waves, and how close is close enough.
@@ -478,7 +478,7 @@ def continue_to(
         integral of k^3 (1 + (2 k L)^2)^(-5/2) exp(-2 k h) dk  over  the same with h = 0
 
     (a map is right at its data, so that its errors have no long waves), and its correlation length grows likewise; L is that of the
-    error model where the errors are large, or two cells. Sigma also has what may come from beyond the edges: a quarter of the map's spread
+    error model where the errors are large, or two cells. Sigma also has what may come from beyond the edges: a seventh of the map's spread
     times the share of the value that does, less where that comes from further than the map is alike. A map without a sigma has none at
     other heights either; where the edge's part is more than a cell's worth of gradient, it has holes there. Downward, Wiener's filter; what it holds back, as foretold by
     an exponential fitted to the spectrum, is in sigma. Degrees of longitude are taken as constant over rows that differ by 2 %.

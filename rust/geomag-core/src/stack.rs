@@ -131,6 +131,16 @@ impl MapStack {
         heights_m.iter().enumerate().map(one).collect()
     }
 
+    /// Mean correlation length of the map's errors over some storeys, in distances to the data; `None` without an error model.
+    pub(crate) fn correlation(&self, storeys: &[Storey]) -> Option<f64> {
+        let of: Vec<f64> = self.levels.iter().map(|l| l.error_model().map(|m| m.correlation)).collect::<Option<_>>()?;
+        let one = |s: &Storey| {
+            let above = of.get(s.level + 1).filter(|_| s.share > 0.0);
+            above.map_or(of[s.level], |above| of[s.level] + s.share * (above - of[s.level]))
+        };
+        (!storeys.is_empty()).then(|| storeys.iter().map(one).sum::<f64>() / storeys.len() as f64)
+    }
+
     fn range(&self) -> [f64; 2] {
         [self.heights_m[0], self.heights_m[self.heights_m.len() - 1]]
     }

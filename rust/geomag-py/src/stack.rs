@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use geomag_core::field::Field;
 use geomag_core::grid::GridMap;
-use geomag_core::stack::{MapStack, continuation_needed};
+use geomag_core::stack::{MapStack, continuation_needed, extent};
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
 use crate::arrays::{broadcast, shaped};
-use crate::error::PyRes;
+use crate::error::{PyRes, invalid};
 use crate::grid::{PyGridMap, field, interpolation};
 
 /// One map at several heights: what a vehicle that climbs is matched with.
@@ -154,4 +154,45 @@ pub fn field_for<'a>(object: &Bound<'_, PyAny>, tracks: impl IntoIterator<Item =
     let Some([low, high]) = needed else { return field(object) };
     let continuation = object.py().import("geomag.continuation")?;
     field(&continuation.getattr("_stack_for")?.call1((object, low, high, at_own))?)
+}
+
+/// Share of a cell by which the heights of a track may differ and still be one level.
+const ONE_LEVEL: f64 = 0.1;
+
+/// The one level that serves a track, for matchers that follow the contours of one map.
+pub fn level_for(what: &str, object: &Bound<'_, PyAny>, track: &Track) -> PyRes<Arc<GridMap>> {
+    let py = object.py();
+    let one = |field: &dyn Field| -> PyRes<f64> {
+        let y = track.newest()[1];
+        let [east, north] = field.metres_per_unit(y);
+        let [dx, dy] = field.spacing();
+        match track.height_m().and_then(extent) {
+            Some([low, high]) if high - low <= ONE_LEVEL * (dx * east).min(dy * north) => Ok(0.5 * (low + high)),
+            Some([low, high]) => {
+                let got = format!("heights from {low} to {high} m");
+                Err(invalid("track height_m", "one height, for contours are those of one level", got))
+            }
+            None => Err(invalid("track height_m", "the height of the track, for the map is a stack of levels", "none")),
+        }
+    };
+    if let Ok(stack) = object.cast::<PyMapStack>() {
+        let stack = &stack.get().inner;
+        return Ok(Arc::new(stack.at(one(&**stack)?)?));
+    }
+    let Ok(grid) = object.cast::<PyGridMap>() else {
+        return Err(invalid(what, "a geomag.GridMap or MapStack", object.get_type().name()?));
+    };
+    let map = &grid.get().inner;
+    if continuation_needed(map, track)?.is_none() {
+        return Ok(map.clone());
+    }
+    let height = one(&**map)?;
+    let stack = py.import("geomag.continuation")?.getattr("_stack_for")?.call1((object, height, height, false))?;
+    let stack = stack.cast::<PyMapStack>().map_err(PyErr::from)?;
+    Ok(Arc::new(stack.get().inner.at(height)?))
+}
+
+/// Whether a map is the very one behind an object.
+pub fn same_map(object: &Bound<'_, PyAny>, map: &Arc<GridMap>) -> bool {
+    object.cast::<PyGridMap>().is_ok_and(|grid| Arc::ptr_eq(&grid.get().inner, map))
 }

@@ -206,13 +206,16 @@ impl<'a> Problem<'a> {
                 }
             };
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
-            let noise = Noise::new(channel, options)?;
+            let mut noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
             let storeys = match (channel.field.as_stack(), track.height_m()) {
                 (Some(stack), Some(heights)) => stack.storeys(heights)?,
                 _ => vec![Storey::GROUND; n],
             };
+            if let Some(correlation) = channel.field.as_stack().and_then(|stack| stack.correlation(&storeys)) {
+                noise.correlation = correlation;
+            }
             // The kernel's unit is the typical error, so that single precision has room on both sides of it.
             let there = indicated.iter().zip(&storeys);
             let variances = there.map(|(p, storey)| f64::from(patch.at(p[0], p[1], *storey).variance));
