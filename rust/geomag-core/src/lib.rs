@@ -32,3 +32,8 @@ pub mod state;
 mod statistics;
 pub mod synthetic;
 pub mod track;
+
+/// The examples of the crate's README run as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct ReadmeExamples;
