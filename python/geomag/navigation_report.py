@@ -268,6 +268,11 @@ def _folds(lines: Lines, folds: int) -> list[tuple[Lines, Lines]]:
     ]
 
 
+def fold_maps(lines: Lines, *, folds: int = 3, **map_options: Any) -> list[GridMap]:  # noqa: ANN401 - options of map_from_lines
+    """The maps that `calibrate_navigation` makes, one a fold, each of the lines that are kept: for several reports on the same maps."""
+    return [map_from_lines(kept, **map_options) for kept, _ in _folds(lines, folds)]
+
+
 def calibrate_navigation(
     lines: Lines,
     *,
