@@ -64,8 +64,20 @@ def _main(
 
 
 # Each registers its command on `app`.
-from geomag.cli import bench, calibrate, dafmit, demo, field, flights, info  # noqa: E402, F401
-from geomag.cli import match, navigate, reproduce, stream, suitability  # noqa: E402, F401
+from geomag.cli import (  # noqa: E402
+    bench,
+    calibrate,
+    dafmit,
+    demo,
+    field,
+    flights,
+    info,
+    match,
+    navigate,
+    reproduce,
+    stream,
+    suitability,
+)
 
 
 def run(arguments: Sequence[str]) -> int:
