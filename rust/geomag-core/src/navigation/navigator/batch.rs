@@ -26,6 +26,8 @@ pub(super) struct Reading {
     /// Indicated place, map units.
     pub x: f64,
     pub y: f64,
+    /// Metres above the map's height datum, where it matters.
+    pub height_m: Option<f64>,
     /// Standard deviation of the map's error there.
     pub sigma: f64,
 }
@@ -48,6 +50,7 @@ pub(super) struct Batch {
 pub(super) struct Chosen {
     pub readings: Vec<(Reading, f64)>,
     residuals: Vec<f64>,
+    absolute: Vec<f64>,
     sorted: Vec<f64>,
     /// Root mean square of the map's sigma under them.
     pub sigma: f64,
@@ -69,8 +72,12 @@ impl Batch {
         self.readings.len() <= MOST
             && self.gathered_m.is_finite()
             && self.length_m.is_finite()
+            && (self.readings.is_empty() || self.every > 0)
             && self.readings.iter().all(|r| {
-                [r.value, r.time_s, r.x, r.y].iter().all(|v| v.is_finite()) && r.sigma.is_finite() && r.sigma >= 0.0
+                [r.value, r.time_s, r.x, r.y].iter().all(|v| v.is_finite())
+                    && r.sigma.is_finite()
+                    && r.sigma >= 0.0
+                    && r.height_m.is_none_or(f64::is_finite)
             })
     }
 
@@ -78,8 +85,9 @@ impl Batch {
     pub fn push(&mut self, reading: Reading, law: &MapLaw, place: Place) {
         if self.readings.is_empty() {
             (self.gathered_m, self.every, self.seen) = (0.0, 1, 0);
-            self.length_m = law.batch_m(place.distance_m);
+            self.length_m = 0.0;
         }
+        self.length_m = self.length_m.max(law.batch_m(place.distance_m));
         if self.seen % self.every == 0 {
             if self.readings.len() == MOST {
                 let mut keep = false;
@@ -111,14 +119,13 @@ impl Batch {
                 out.residuals.push(residual);
             }
         }
-        let median = median(&out.residuals, &mut out.sorted);
+        let centre = median(&out.residuals, &mut out.sorted);
         for r in &mut out.residuals {
-            *r -= median;
+            *r -= centre;
         }
-        let deviation = {
-            let absolute: Vec<f64> = out.residuals.iter().map(|r| r.abs()).collect();
-            self::median(&absolute, &mut out.sorted)
-        };
+        out.absolute.clear();
+        out.absolute.extend(out.residuals.iter().map(|r| r.abs()));
+        let deviation = median(&out.absolute, &mut out.sorted);
         let mut k = 0;
         let residuals = &out.residuals;
         out.readings.retain(|(reading, _)| {

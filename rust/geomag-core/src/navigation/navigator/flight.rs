@@ -5,7 +5,8 @@ use std::sync::Arc;
 use super::Navigator;
 use super::options::NavigatorOptions;
 use super::outcome::{Indicated, Inputs, NavigatorStep};
-use crate::error::{Error, Result};
+use super::smooth::Record;
+use crate::error::{Error, Result, require_not_negative};
 use crate::field::Field;
 use crate::monitor::Monitor;
 
@@ -25,6 +26,8 @@ pub struct FlightInput<'a> {
     pub velocity_m_s: Option<&'a [[f64; 2]]>,
     /// Degrees clockwise from north.
     pub heading_deg: Option<&'a [f64]>,
+    /// Metres above the map's height datum.
+    pub height_m: Option<&'a [f64]>,
     /// Measured values, NaN where there is none.
     pub readings: Option<&'a [f64]>,
 }
@@ -40,13 +43,18 @@ impl FlightInput<'_> {
         self.time_s.is_empty()
     }
 
-    fn check(&self) -> Result<()> {
+    /// Checks that the columns fit each other.
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::TooFewSamples`].
+    pub fn check(&self) -> Result<()> {
         let n = self.len();
         let lengths = [
             ("x", Some(self.x.len())),
             ("y", Some(self.y.len())),
             ("velocity_m_s", self.velocity_m_s.map(<[_]>::len)),
             ("heading_deg", self.heading_deg.map(<[_]>::len)),
+            ("height_m", self.height_m.map(<[_]>::len)),
             ("readings", self.readings.map(<[_]>::len)),
         ];
         for (name, len) in lengths {
@@ -60,13 +68,15 @@ impl FlightInput<'_> {
         Ok(())
     }
 
-    fn at(&self, k: usize) -> Indicated {
+    /// One step of it.
+    pub fn at(&self, k: usize) -> Indicated {
         Indicated {
             time_s: self.time_s[k],
             x: self.x[k],
             y: self.y[k],
             velocity_m_s: self.velocity_m_s.map(|v| v[k]),
             heading_deg: self.heading_deg.map(|h| h[k]),
+            height_m: self.height_m.map(|h| h[k]),
             value: self.readings.map(|r| r[k]),
         }
     }
@@ -79,6 +89,30 @@ pub struct Flight {
     pub steps: Vec<NavigatorStep>,
     /// Which INS output there was.
     pub inputs: Inputs,
+    /// Every step with what came after it, where that was asked for.
+    pub smoothed: Option<Vec<SmoothedPlace>>,
+}
+
+/// How much of what came after a step is used for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Smoothing {
+    /// None of it.
+    No,
+    /// What came until so many seconds after it.
+    Lag(f64),
+    /// The rest of the flight.
+    Flight,
+}
+
+/// A place with what came after it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SmoothedPlace {
+    /// Corrected place, map units.
+    pub x: f64,
+    /// Corrected place, map units.
+    pub y: f64,
+    /// Covariance as it is to be believed, square metres, east-north.
+    pub covariance_m2: [[f64; 2]; 2],
 }
 
 /// Navigates through a whole log.
@@ -90,10 +124,15 @@ pub fn navigate(
     field: Arc<dyn Field>,
     input: &FlightInput<'_>,
     options: NavigatorOptions,
+    smoothing: Smoothing,
     monitor: &dyn Monitor,
 ) -> Result<Flight> {
     input.check()?;
+    if let Smoothing::Lag(lag) = smoothing {
+        require_not_negative("lag_s", lag)?;
+    }
     let mut navigator = Navigator::new(field, options)?;
+    navigator.record = (smoothing != Smoothing::No).then(Record::default);
     let mut steps = Vec::with_capacity(input.len());
     for k in 0..input.len() {
         if k % REPORT == 0 {
@@ -101,7 +140,20 @@ pub fn navigate(
         }
         steps.push(navigator.step(&input.at(k)).map_err(|e| at_step(e, k))?);
     }
-    Ok(Flight { steps, inputs: navigator.inputs() })
+    let smoothed = navigator.record.as_ref().map(|record| {
+        let horizon = |k: usize| match smoothing {
+            Smoothing::Lag(lag) => input.time_s.partition_point(|t| *t <= input.time_s[k] + lag) - 1,
+            Smoothing::No | Smoothing::Flight => usize::MAX,
+        };
+        let places = record.smooth(horizon).into_iter().enumerate().map(|(k, s)| {
+            let [x, y] = navigator.corrected(navigator.field().wrap_x(input.x[k]), input.y[k], s.mean);
+            // What the innovations said of the covariance then holds of what came after, too.
+            let factor = steps[k].covariance_m2[0][0] / steps[k].covariance_filter_m2[0][0].max(f64::MIN_POSITIVE);
+            SmoothedPlace { x, y, covariance_m2: s.covariance.map(|row| row.map(|c| c * factor.max(1.0))) }
+        });
+        places.collect()
+    });
+    Ok(Flight { steps, inputs: navigator.inputs(), smoothed })
 }
 
 /// Names the step in an error.

@@ -14,6 +14,8 @@
 //! surveys is geomag's own.
 
 mod batch;
+mod correct;
+mod doubt;
 mod filter;
 mod flight;
 mod ins;
@@ -23,16 +25,20 @@ mod linear;
 mod motion;
 mod options;
 mod outcome;
+mod smooth;
 mod step;
 #[cfg(test)]
 mod tests;
+mod watch;
 
-pub use flight::{Flight, FlightInput, navigate};
+pub use correct::Correction;
+pub use flight::{Flight, FlightInput, SmoothedPlace, Smoothing, navigate};
 pub use ins::{GRAVITY_M_S2, InsModel};
 pub use integrity::radii_m;
 pub use motion::EARTH_RATE_RAD_S;
-pub use options::NavigatorOptions;
+pub use options::{Method, NavigatorOptions};
 pub use outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
+pub use watch::MatcherPlan;
 
 use std::sync::Arc;
 
@@ -41,10 +47,13 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use batch::{Batch, Chosen};
+use doubt::{Shift, Stuck};
 use filter::{Filter, Scratch};
 use integrity::{Radius, RunningNis, widening};
 use law::MapLaw;
 use motion::{ACCELEROMETER, GYRO, INS_STATES, POSITION, TILT, VELOCITY};
+use smooth::Record;
+use watch::Watch;
 
 /// Bias of the field sensor.
 const BIAS: usize = INS_STATES;
@@ -70,6 +79,9 @@ struct State {
     filter: Filter,
     batch: Batch,
     running: RunningNis,
+    watch: Watch,
+    stuck: Stuck,
+    shift: Shift,
     newest: Option<Newest>,
     inputs: Inputs,
     status: Status,
@@ -77,6 +89,7 @@ struct State {
     /// Time of the newest reading that the map has a value for.
     heard_s: Option<f64>,
     off_map: bool,
+    is_stuck: bool,
     /// Whether the newest single reading was far off.
     startled: bool,
     tracked: bool,
@@ -111,6 +124,7 @@ struct State {
 ///         y: y - 60.0,
 ///         velocity_m_s: Some([70.0, 0.0]),
 ///         heading_deg: Some(90.0),
+///         height_m: None,
 ///         value: Some(map.sample(x, y, Interpolation::Bilinear)),
 ///     })?);
 /// }
@@ -127,6 +141,10 @@ pub struct Navigator {
     widening: f64,
     scratch: Scratch,
     chosen: Chosen,
+    /// Slopes are those of the field at the mean itself.
+    exact_slopes: bool,
+    /// What the filter did, where it is to be smoothed.
+    record: Option<Record>,
     state: State,
 }
 
@@ -135,8 +153,11 @@ impl Navigator {
     ///
     /// # Errors
     /// As [`NavigatorOptions::validate`].
-    pub fn new(field: Arc<dyn Field>, options: NavigatorOptions) -> Result<Self> {
+    pub fn new(field: Arc<dyn Field>, mut options: NavigatorOptions) -> Result<Self> {
         options.validate()?;
+        if options.method == Method::Ekf {
+            (options.nu, options.matcher) = (f64::INFINITY, None);
+        }
         let mut variances = [0.0; STATES];
         for axis in 0..2 {
             variances[POSITION + axis] = options.covariance_m2[axis][axis];
@@ -156,12 +177,16 @@ impl Navigator {
             filter,
             batch: Batch::default(),
             running: RunningNis::new(),
+            watch: Watch::new(),
+            stuck: Stuck::default(),
+            shift: Shift::default(),
             newest: None,
             inputs: Inputs::Full,
             status: Status::Acquiring,
             reason: Reason::StartUncertain,
             heard_s: None,
             off_map: false,
+            is_stuck: false,
             startled: false,
             tracked: false,
             last_fix_s: None,
@@ -173,14 +198,18 @@ impl Navigator {
 
     fn from_state(field: Arc<dyn Field>, state: State) -> Result<Self> {
         let law = MapLaw::new(field.as_ref(), &state.options);
-        let widening = widening(state.options.integrity_risk)?;
+        let textbook = state.options.method == Method::Ekf;
+        let risk = state.options.integrity_risk;
+        let (probability, widening) = if textbook { (1.0 - risk, 1.0) } else { (0.99, widening(risk)?) };
         Ok(Self {
             field,
             law,
-            radius: Radius::new(0.99),
+            radius: Radius::new(probability),
             widening,
             scratch: Scratch::default(),
             chosen: Chosen::default(),
+            exact_slopes: textbook,
+            record: None,
             state,
         })
     }
@@ -204,8 +233,11 @@ impl Navigator {
         let newest_is_sound = state.newest.is_none_or(|n| {
             [n.time_s, n.x, n.y, n.velocity_m_s[0], n.velocity_m_s[1], n.heading_rad].iter().all(|v| v.is_finite())
         });
-        let whole =
-            state.filter.is_whole(STATES) && state.batch.is_whole() && state.running.is_sound() && newest_is_sound;
+        let whole = state.filter.is_whole(STATES)
+            && state.batch.is_whole()
+            && state.running.is_sound()
+            && state.watch.is_whole()
+            && newest_is_sound;
         if !whole {
             return Err(refuse("its numbers do not belong together".into()));
         }
@@ -259,7 +291,7 @@ impl Navigator {
 
     /// The covariance that is reported.
     fn reported_m2(&self) -> [[f64; 2]; 2] {
-        let factor = self.state.running.factor();
+        let factor = if self.state.options.method == Method::Ekf { 1.0 } else { self.state.running.factor() };
         self.own_m2().map(|row| row.map(|c| factor * c))
     }
 }

@@ -4,7 +4,29 @@ use serde::{Deserialize, Serialize};
 
 use super::ins::InsModel;
 use super::integrity::widening;
+use super::watch::MatcherPlan;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+
+/// Which filter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Method {
+    /// That of this module.
+    #[default]
+    Navigator,
+    /// The extended Kalman filter of the textbooks, for comparison: every reading by itself, gradient at the mean, noise of the sensor
+    /// alone, covariance reported as it is.
+    Ekf,
+}
+
+impl Method {
+    /// As it is written.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Navigator => "navigator",
+            Self::Ekf => "ekf",
+        }
+    }
+}
 
 /// Options of a [`Navigator`](super::Navigator). What the map's error model knows is taken from there.
 ///
@@ -39,6 +61,10 @@ pub struct NavigatorOptions {
     pub linear_m: Option<f64>,
     /// Probability with which the error may exceed the protection level.
     pub integrity_risk: f64,
+    /// The matcher beside the filter; `None` for none.
+    pub matcher: Option<MatcherPlan>,
+    /// Which filter.
+    pub method: Method,
     /// Latitude of a map in projected metres, degrees: the Earth turns under it.
     pub latitude_deg: f64,
 }
@@ -59,6 +85,8 @@ impl NavigatorOptions {
             nu: 3.0,
             linear_m: None,
             integrity_risk: 1e-3,
+            matcher: Some(MatcherPlan::default()),
+            method: Method::Navigator,
             latitude_deg: 45.0,
         }
     }
@@ -91,6 +119,9 @@ impl NavigatorOptions {
             return Err(Error::invalid("nu", "a number > 0", self.nu));
         }
         widening(self.integrity_risk)?;
+        if let Some(plan) = &self.matcher {
+            plan.validate()?;
+        }
         if !(self.latitude_deg.abs() <= MOST_LATITUDE_DEG) {
             let needed = format!("a latitude within {MOST_LATITUDE_DEG} degrees of the equator");
             return Err(Error::invalid("latitude_deg", needed, self.latitude_deg));

@@ -6,8 +6,10 @@ use super::linear;
 use super::motion::{ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, POSITION, TILT, VELOCITY, rates, transition};
 use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
+use super::watch::Sample;
 use super::{BIAS, Navigator, Newest, REGISTRATION, STATES};
 use crate::error::{Error, Result, require_finite};
+use crate::field::Field;
 use crate::frame::displacement_m;
 
 /// Longest step over which the errors are carried on at once, seconds.
@@ -44,18 +46,25 @@ impl Navigator {
         }
         self.state.newest = Some(now);
         self.state.steps += 1;
-        let (outcome, nis) = self.read(&now, indicated.value.filter(|v| !v.is_nan()));
+        let (outcome, nis) = self.read(&now, indicated.value.filter(|v| !v.is_nan()), indicated.height_m);
+        self.watch(&now);
         self.judge(&now, outcome);
+        if let Some(record) = &mut self.record {
+            record.stepped(&self.state.filter);
+        }
         Ok(self.answer(outcome, nis))
     }
 
     /// What is indicated, made whole.
     fn check(&mut self, indicated: &Indicated) -> Result<Newest> {
-        let Indicated { time_s, x, y, velocity_m_s, heading_deg, value } = *indicated;
+        let Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value } = *indicated;
         require_finite("time_s", &[time_s])?;
         require_finite("x, y", &[x, y])?;
         if let Some(value) = value.filter(|v| v.is_infinite()) {
             return Err(Error::NotFinite { what: "value".into(), index: 0, got: value });
+        }
+        if let Some(height) = height_m {
+            require_finite("height_m", &[height])?;
         }
         let geographic = self.field.geographic();
         if geographic && y.abs() > MOST_LATITUDE_DEG {
@@ -180,9 +189,14 @@ impl Navigator {
             }
             let phi = transition(&rates(&motion), &decay, dt);
             self.state.filter.predict(&phi, &factors, &noise, &mut self.scratch);
+            if let Some(record) = &mut self.record {
+                record.moved(&phi, &factors);
+            }
         }
         let moved = displacement_m(self.field.geographic(), place, [now.x, now.y]);
-        self.state.batch.gathered_m += moved[0].hypot(moved[1]);
+        let way = moved[0].hypot(moved[1]);
+        self.state.batch.gathered_m += way;
+        self.state.watch.since_m += way;
     }
 
     /// Map units per metre at a latitude.
@@ -198,20 +212,38 @@ impl Navigator {
         [x - error_m[0] * east, y - error_m[1] * north]
     }
 
+    /// What the map says at an indicated place; NaN where it says nothing.
+    pub(super) fn expected(&self, indicated: &Indicated) -> f64 {
+        value_at(self.field.as_ref(), self.field.wrap_x(indicated.x), indicated.y, indicated.height_m)
+    }
+
     /// Gathers a reading and uses the batch once it is full.
-    fn read(&mut self, now: &Newest, value: Option<f64>) -> (Outcome, Option<f64>) {
+    fn read(&mut self, now: &Newest, value: Option<f64>, height_m: Option<f64>) -> (Outcome, Option<f64>) {
         let mut outcome = Outcome::Waiting;
         if let Some(value) = value {
             let error = [self.state.filter.mean()[POSITION], self.state.filter.mean()[POSITION + 1]];
             let [x, y] = self.corrected(now.x, now.y, error);
-            let place = self.law.at(self.field.as_ref(), x, y).filter(|_| !self.field.value(x, y).is_nan());
+            let expected = value_at(self.field.as_ref(), x, y, height_m);
+            let place = self.law.at(self.field.as_ref(), x, y, height_m).filter(|_| !expected.is_nan());
+            self.state.off_map = place.is_none();
             if let Some(place) = place {
-                self.state.heard_s = Some(now.time_s);
-                self.state.off_map = false;
-                let reading = Reading { value, time_s: now.time_s, x: now.x, y: now.y, sigma: place.sigma };
-                self.state.batch.push(reading, &self.law, place);
+                let sigma = place.sigma.hypot(self.state.options.reading_sigma);
+                self.state.is_stuck = self.state.stuck.take(value, expected, sigma);
+                if self.state.is_stuck {
+                    // What was gathered of the run is as wrong as the newest.
+                    self.state.batch.clear();
+                } else {
+                    self.state.heard_s = Some(now.time_s);
+                    let reading =
+                        Reading { value, time_s: now.time_s, x: now.x, y: now.y, height_m, sigma: place.sigma };
+                    self.state.batch.push(reading, &self.law, place);
+                    if let Some(plan) = self.state.options.matcher {
+                        let spacing = plan.spacing_m.unwrap_or(self.law.window_spacing_m());
+                        let sample = Sample { time_s: now.time_s, x: now.x, y: now.y, height_m, value };
+                        self.state.watch.keep(sample, spacing, plan.samples);
+                    }
+                }
             } else {
-                self.state.off_map = true;
                 outcome = Outcome::OffMap;
             }
         }
@@ -241,18 +273,21 @@ impl Navigator {
             let age = now.time_s - reading.time_s;
             let shift =
                 |axis: usize| d[axis] - mean[POSITION + axis] + mean[VELOCITY + axis] * age + mean[REGISTRATION + axis];
-            field.value(reading.x + shift(0) * scale[0], reading.y + shift(1) * scale[1])
+            let (x, y) = (reading.x + shift(0) * scale[0], reading.y + shift(1) * scale[1]);
+            value_at(field, x, y, reading.height_m)
         };
         let mut chosen = std::mem::take(&mut self.chosen);
         self.state.batch.choose(now.time_s, &self.law, noise, |r| at(r, [0.0; 2]), &mut chosen);
         let count = chosen.readings.len();
         let spacing = field.spacing();
+        let exact = self.exact_slopes;
         let covariance = std::array::from_fn(|i| {
             std::array::from_fn(|j| {
                 let (a, b) = (POSITION + i, POSITION + j);
                 let (r, s) = (REGISTRATION + i, REGISTRATION + j);
                 let least = if i == j { (LEAST_LATTICE_CELLS * spacing[i] / scale[i]).powi(2) } else { 0.0 };
-                filter.at(a, b) + filter.at(r, s) - filter.at(a, s) - filter.at(r, b) + least
+                let wide = filter.at(a, b) + filter.at(r, s) - filter.at(a, s) - filter.at(r, b);
+                if exact { least } else { wide + least }
             })
         });
         let plane = if count == 0 {
@@ -291,13 +326,39 @@ impl Navigator {
         let weight = if nu.is_finite() { ((nu + 1.0) / (nu + nis)).min(1.0) } else { 1.0 };
         // S divided by the weight: what is added stands in R.
         let effective = total / weight - predicted.variance;
+        self.note_measurement(&slopes, total / weight, innovation);
         self.state.filter.update(&slopes, predicted, innovation, effective, &mut self.scratch);
+        if let Some(jump) = self.state.shift.take(innovation, total.sqrt(), !batched) {
+            // A jump of the sensor's level: its bias is open again.
+            self.state.filter.widen(BIAS, jump * jump);
+        }
         let startling = !batched && nis > STARTLING;
         if !startling || self.state.startled {
             self.state.running.take(nis);
         }
         self.state.startled = startling;
         Some((nis, weight))
+    }
+
+    /// Writes down a measurement that is about to be used, for smoothing.
+    pub(super) fn note_measurement(&mut self, slopes: &[(usize, f64)], variance: f64, innovation: f64) {
+        if let Some(record) = &mut self.record {
+            record.measured(slopes, &self.scratch.cross, innovation, variance);
+        }
+    }
+
+    /// Writes down that position and bias are about to be replaced.
+    pub(super) fn note_reset(&mut self) {
+        if let Some(record) = &mut self.record {
+            record.replaced(&[POSITION, POSITION + 1, BIAS]);
+        }
+    }
+
+    /// Sets the status after a correction between two steps.
+    pub(super) fn judge_again(&mut self) {
+        if let Some(now) = self.state.newest {
+            self.judge(&now, Outcome::Waiting);
+        }
     }
 
     /// Sets the status.
@@ -320,7 +381,14 @@ impl Navigator {
                 (Status::Acquiring, Reason::StartUncertain)
             }
         } else if silent {
-            (Status::Coasting, if self.state.off_map { Reason::OffMap } else { Reason::NoReading })
+            let reason = match (self.state.off_map, self.state.is_stuck) {
+                (true, _) => Reason::OffMap,
+                (false, true) => Reason::StuckSensor,
+                (false, false) => Reason::NoReading,
+            };
+            (Status::Coasting, reason)
+        } else if self.state.is_stuck {
+            (Status::Coasting, Reason::StuckSensor)
         } else if outcome == Outcome::OffMap {
             (Status::Coasting, Reason::OffMap)
         } else {
@@ -341,7 +409,9 @@ impl Navigator {
             covariance_m2,
             covariance_filter_m2: self.own_m2(),
             velocity_error_m_s: [mean[VELOCITY], mean[VELOCITY + 1]],
-            heading_error_deg: mean[TILT + 2].to_degrees(),
+            // The computed frame is the true one turned by minus psi.
+            heading_error_deg: -mean[TILT + 2].to_degrees(),
+            tilt_error_mrad: [1e3 * mean[TILT], 1e3 * mean[TILT + 1]],
             bias: mean[BIAS],
             status: s.status,
             reason: s.reason,
@@ -353,6 +423,11 @@ impl Navigator {
             resets: s.resets,
         }
     }
+}
+
+/// The field at a place, at a height where one is given.
+fn value_at(field: &dyn Field, x: f64, y: f64, height_m: Option<f64>) -> f64 {
+    height_m.map_or_else(|| field.value(x, y), |height| field.value_at(x, y, height))
 }
 
 /// Radii of curvature to the east and to the north at a latitude, metres.
