@@ -19,8 +19,8 @@ class Filter(StrEnum):
     """What navigates."""
 
     navigator = "navigator"
+    smoothed = "smoothed"
     ekf = "ekf"
-    rbpf = "rbpf"
     windows = "windows"
 
 

@@ -308,7 +308,11 @@ def _seconds(
         if np.isnan(plain).any():
             _untimed(where, "a time is missing", asked)
             return None
-        told = unit or (None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit) or ("hhmmss" if "hhmmss" in column.name.lower() else None)
+        told = (
+            unit
+            or (None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit)
+            or ("hhmmss" if "hhmmss" in column.name.lower() else None)
+        )
         told = told or ("hhmm" if "hhmm" in column.name.lower() else None)
         seconds = _times.from_numbers(plain, told, where, step_m)
     else:
