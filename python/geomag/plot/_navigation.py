@@ -97,6 +97,8 @@ def navigation_figure(
         below.plot(hours, alone, color=COLOURS["indicated"], label="error of the INS alone")
         below.plot(hours, np.hypot((flight.x - x) * east, (flight.y - y) * north), color=COLOURS["true"], label="error")
     below.set_yscale("log")
+    # Room for the legend above what is drawn.
+    below.set_ylim(top=6.0 * below.get_ylim()[1])
     below.set_ylabel("m")
     below.set_xlabel("time (h)")
     below.grid(True)
