@@ -187,6 +187,23 @@ def test_points_that_a_projection_does_not_reach():
         transform([9.0, np.inf], [45.0, 0.0], "EPSG:4326", "EPSG:32632")
 
 
+def test_suitability_is_in_metres_on_the_ground():
+    pytest.importorskip("xarray")
+    from geomag.blocks import position_bound
+
+    axis = 100.0 * np.arange(60)
+    field = rough(axis[None, :], axis[:, None])
+    ground = geomag.GridMap(field, axis, axis).to_xarray()
+    paper = geomag.GridMap(field, 2 * axis, 2 * axis).to_xarray()
+    options = {"samples": 10, "spacing_m": 150.0, "sigma": 1.0, "map_error_m": 0.0, "tolerance_m": 50.0}
+    wanted = position_bound(ground, heading_deg=[30.0], **options)
+    found = position_bound(paper, heading_deg=[30.0], ground_scale=(0.5, 0.5), **options)
+    for name in wanted:
+        np.testing.assert_array_equal(found[name].values, wanted[name].values)
+    with pytest.raises(geomag.InvalidInputError, match="ground_scale"):
+        position_bound(paper, heading_deg=[30.0], ground_scale=(0.0, 0.5), **options)
+
+
 @pytest.fixture
 def command():
     for module in ("typer", "pandas", "xarray", "netCDF4"):
