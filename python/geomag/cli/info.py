@@ -66,8 +66,8 @@ def known(grid: GridMap, facts: dict[str, object]) -> list[str]:
         )
     else:
         lines.append("error     not known: matchers take it for one of unknown size")
-    if facts["height_m"] is not None:
-        low, high = facts["height_m"]  # type: ignore[misc]
+    if grid.height_m is not None:
+        low, high = float(np.nanmin(grid.height_m)), float(np.nanmax(grid.height_m))
         lines.append(f"height    {low:.0f} m" if low == high else f"height    {low:.0f} .. {high:.0f} m (draped)")
     if grid.crs:
         lines.append(f"system    {grid.crs if len(grid.crs) < 60 else grid.crs[:57] + '...'}")
