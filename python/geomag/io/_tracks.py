@@ -308,7 +308,11 @@ def _seconds(
         if np.isnan(plain).any():
             _untimed(where, "a time is missing", asked)
             return None
-        told = unit or (None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit) or ("hhmmss" if "hhmmss" in column.name.lower() else None)
+        told = (
+            unit
+            or (None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit)
+            or ("hhmmss" if "hhmmss" in column.name.lower() else None)
+        )
         told = told or ("hhmm" if "hhmm" in column.name.lower() else None)
         seconds = _times.from_numbers(plain, told, where, step_m)
     else:
@@ -326,6 +330,20 @@ def _seconds(
         _untimed(where, f"times fall at row {falls[0] + 1}", asked)
         return None
     return seconds
+
+
+def times_of(table: Table, asked: str | int | None, points: Points) -> Array:
+    """Times of every row, seconds, for what cannot do without; errors say what is wrong with them."""
+    columns = [asked_column(table.columns, asked, table.where)] if asked is not None else _time_column(table, None)
+    if not columns:
+        the_one(table.columns, "time", [c for c in table.columns if c.kind == "time"], table.where)
+    step_m = None if points.geographic is None else steps_m(points.x, points.y, points.geographic)
+    found = _seconds(
+        table, asked if asked is not None else columns[-1].name, None, np.ones(len(table), dtype=bool), step_m
+    )
+    if found is None:  # a date beside a time of day, which are looked for without asking
+        raise InvalidInputError(f"{table.where}: needed times in column '{columns[-1].name}', got none")
+    return found
 
 
 def _untimed(where: str, why: str, asked: object) -> None:
