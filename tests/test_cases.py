@@ -65,6 +65,13 @@ def nmea_noise():
     assert [(round(s.y, 6), s.value) for s in found] == [(48.1173, 48650.1), (48.117467, 48651.2), (48.1178, 48653.4)]
     assert all(round(s.x, 6) == 11.516667 for s in found)
     assert [s.time_s for s in found] == [43200.0, 43201.0, 43203.0]
+    with pytest.warns(geomag.DataWarning, match="line 5"):
+        track = geomag.read_track(CASES / "nmea-noise.txt")
+    assert (track.values.tolist(), track.time_s.tolist(), track.geographic) == (
+        [48650.1, 48651.2, 48653.4],
+        [43200, 43201, 43203],
+        True,
+    )
 
 
 def stream_latitude_first():
