@@ -166,7 +166,7 @@ def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
     >>> from geomag.flight_log import read_flight_log
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder, "log.csv")
-    ...     _ = path.write_text("time_s,x,y,value,heading_deg\\n0,0,0,31.5,90\\n1,70,0,nan,90\\n")
+    ...     _ = path.write_text("time_s,x,y,value,heading_deg\n0,0,0,31.5,90\n1,70,0,nan,90\n")
     ...     log = read_flight_log(path)
     >>> log.readings, log.heading_deg, log.velocity_m_s
     (array([31.5,  nan]), array([90., 90.]), None)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._errors import DataWarning, InvalidInputError, ReadError
+from geomag._errors import DataWarning, InvalidInputError, ReadError, TooFewSamplesError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.io import _times
@@ -229,7 +229,7 @@ def track_of(
         )
     keep = np.asarray(~bad)
     if not keep.any():
-        raise InvalidInputError(f"{where}: needed a position and a value in one row at least, got none")
+        raise TooFewSamplesError(f"{where}: needed a position and a value in one row at least, got none")
     px, py, values = points.x[keep], points.y[keep], points.values[keep]
     step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
     seconds = _seconds(table, time, time_unit, keep, step_m)
