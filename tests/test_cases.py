@@ -144,6 +144,19 @@ def grid_emag2_columns():
         assert (np.nanmin(grid.values), np.nanmax(grid.values)) == (6.0, 62.0)
 
 
+def test_the_command_line_names_columns_too(capsys):
+    pytest.importorskip("typer", reason="needs the extra 'cli'")
+    from geomag.cli import run
+
+    path = str(CASES / "grid-emag2-columns.csv")
+    assert run(["info", path]) == 1
+    assert "--columns 2,3,5" in capsys.readouterr().err
+    assert run(["info", path, "--columns", "2,3,5", "--geographic"]) == 0
+    out, err = capsys.readouterr()
+    assert "6 x 8 nodes" in out
+    assert "6 of 48 values are dummies" in err
+
+
 def grid_surfer_blanks():
     with pytest.warns(geomag.DataWarning, match="1 of 12 values are dummies"):
         grid = geomag.read_grid(CASES / "grid-surfer-blanks.xyz")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import typer
 
-from geomag._errors import DataWarning, TimeError
+from geomag._errors import DataWarning, InvalidInputError, TimeError
 from geomag._explain import reasons, status_in_words
 from geomag._geomag import GridMap, Track
 from geomag.io._tables import load_table
@@ -51,6 +51,16 @@ def jsonable(value: Any) -> Any:  # noqa: ANN401 - anything that a report holds
 def fix_json(fix: Fix, **more: object) -> str:
     """One JSON object with the fields of the fix, its track and surface, and more."""
     return json.dumps(jsonable({**fix.to_dict(), "track": fix.track, "surface": fix.surface, **more}))
+
+
+def three(text: str | None) -> tuple[str, str, str] | None:
+    """The columns of a text map, from `x,y,value`."""
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3 or not all(parts):
+        raise InvalidInputError(f"--columns: needed three, as x,y,value, got '{text}'")
+    return parts[0], parts[1], parts[2]
 
 
 def load_track(

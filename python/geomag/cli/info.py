@@ -12,7 +12,7 @@ import typer
 from geomag._geomag import GridMap
 from geomag.cli import app
 from geomag.cli._checks import positive
-from geomag.cli._common import jsonable
+from geomag.cli._common import jsonable, three
 from geomag.io import read_grid
 
 
@@ -80,6 +80,10 @@ def known(grid: GridMap, facts: dict[str, object]) -> list[str]:
 def info(
     map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF file.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns x,y,value of a text map: names, or numbers from 0 where it has no header."),
+    ] = None,
     geographic: Annotated[bool | None, typer.Option(help="Coordinates are degrees.")] = None,
     sigma: Annotated[
         float, typer.Option(callback=positive, help="Standard deviation of a measured value, map error included.")
@@ -87,7 +91,7 @@ def info(
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """What is in a map, its statistics, and whether one can navigate on it."""
-    grid = read_grid(map, variable, geographic=geographic)
+    grid = read_grid(map, variable, geographic=geographic, columns=three(columns))
     facts = summary(grid)
     slope = facts["gradient_per_km"]["median"]  # type: ignore[index]
     # n samples across a slope g of noise s give a position to s / (g sqrt(n)); 30 is an ordinary sequence.

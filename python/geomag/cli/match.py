@@ -11,7 +11,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Track
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
-from geomag.cli._common import describe, fix_json, load_track
+from geomag.cli._common import describe, fix_json, load_track, three
 from geomag.cli._methods import (
     IEMA_SIGMA,
     LARGEST_IS_BEST,
@@ -105,6 +105,10 @@ def match(
         typer.Option(help="Contour: rigid ICCP to the letter, from the INS; otherwise a lattice of starts, refined."),
     ] = False,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns x,y,value of a text map: names, or numbers from 0 where it has no header."),
+    ] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
     y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
@@ -128,7 +132,7 @@ def match(
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
     refuse_idle(context, method.value, letter)
-    grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
+    grid = read_grid(map, variable, geographic=geographic, columns=three(columns), sigma=map_sigma)
     if line_spacing_m is not None:
         if map_sigma is not None:
             raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
