@@ -102,9 +102,9 @@ def info(
         return 0
     unit = "deg" if grid.geographic else "m"
     value = grid.units or "value units"
-    rows, columns = grid.shape
+    rows, width = grid.shape
     lines = [
-        f"map       {grid.name or map.name}: {rows} x {columns} nodes, {facts['dtype']}",
+        f"map       {grid.name or map.name}: {rows} x {width} nodes, {facts['dtype']}",
         f"x         {facts['x'][0]:.6g} .. {facts['x'][1]:.6g} {unit}, spacing {grid.spacing[0]:.6g} {unit} ({grid.spacing_m[0]:.0f} m)",  # type: ignore[index]
         f"y         {facts['y'][0]:.6g} .. {facts['y'][1]:.6g} {unit}, spacing {grid.spacing[1]:.6g} {unit} ({grid.spacing_m[1]:.0f} m)",  # type: ignore[index]
         f"holes     {facts['holes']} nodes ({100 * facts['holes_share']:.1f} %)",  # type: ignore[operator]
