@@ -87,6 +87,8 @@ def lines_geosoft():
     assert list(lines) == ["L10", "T900"]
     got = [np.column_stack([one.x, one.y, one.values]).tolist() for one in lines.values()]
     assert got == [[[1000, 2000, 31.5], [1200, 2000, 33.5]], [[1050, 2100, 30.1], [1050, 2000, 30.7]]]
+    named = read_lines(CASES / "lines-geosoft.xyz", x="X", y="Y", value="MAG", line="line", geographic=False)
+    assert len(named.split()) == 2
     with pytest.raises(geomag.InvalidInputError, match=r"2 lines.*split"):
         geomag.read_track(CASES / "lines-geosoft.xyz")
 

@@ -385,7 +385,7 @@ def line_points(
             f"{table.where}: needed to know whether columns '{points.columns[0].name}' and '{points.columns[1].name}' are degrees or "
             "metres, got neither units nor names that say so; pass geographic=True or geographic=False"
         )
-    if line is None and table.labels is not None:
+    if table.labels is not None and line in (None, "line"):
         labels: NDArray[Any] = np.array(table.labels)
     else:
         found = [c for c in table.columns if c.kind == "line"]
