@@ -24,8 +24,8 @@ from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
 from geomag._optional import require
 from geomag._ranges import above, at_least
 from geomag._statistics import wilson
-from geomag.survey import Lines, folds_of, map_from_lines
-from geomag.survey._lines import windows_of
+from geomag.survey import Lines, map_from_lines
+from geomag.survey._survey import windows_of
 
 Array = npt.NDArray[np.float64]
 Progress = bool | Callable[[int, int], None] | None
@@ -241,25 +241,14 @@ def calibrate_lines(
     at_least(folds, most=most)
     if not 0 <= overlap < 1:
         raise InvalidInputError(f"overlap: needed a share in [0, 1), got {overlap}")
-    pieces = lines.split()
-    fold = folds_of(pieces, folds)
     rng = np.random.default_rng(seed)
     parts = []
     apart = 0
-    for k in range(folds):
-        kept = [one for one, f in zip(pieces, fold, strict=True) if f != k]
-        training = Lines(
-            np.concatenate([p.x for p in kept]),
-            np.concatenate([p.y for p in kept]),
-            np.concatenate([p.values for p in kept]),
-            np.concatenate([p.line for p in kept]),
-            lines.geographic,
-        )
-        grid = map_from_lines(training, progress=progress, **map_options)
-        taken = [one for one, f in zip(pieces, fold, strict=True) if f == k]
+    for kept, left in lines.survey.parted(folds):
+        grid = map_from_lines(Lines.joined(kept), progress=progress, **map_options)
 
-        def usable(share: float, taken: list[Lines] = taken, grid: GridMap = grid) -> list[tuple[Array, Array, Array]]:
-            some = windows_of(taken, spacing_m, samples, share)
+        def usable(share: float, left: list[Lines] = left, grid: GridMap = grid) -> list[tuple[Array, Array, Array]]:
+            some = windows_of(left, spacing_m, samples, share, shortest=samples)
             return [w for w in some if len(w[0]) == samples and np.mean(np.isfinite(grid.sample(w[0], w[1]))) >= 0.9]
 
         windows = usable(overlap)

@@ -11,19 +11,9 @@ import numpy as np
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many
 from geomag._ranges import at_least
-from geomag.survey._lines import (
-    SHORTEST_WINDOW,
-    WINDOW,
-    Array,
-    Lines,
-    Window,
-    along_m,
-    folds_of,
-    line_spacing_m,
-    noise_of,
-    windows_of,
-)
+from geomag.survey._lines import Array, Lines, along_m
 from geomag.survey._surface import Axes, features, grid_lines, nearest, weight_of
+from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, Window, windows_of
 
 Progress = bool | Callable[[int, int], None] | None
 
@@ -239,24 +229,20 @@ def learn_errors(
         at_least(0, smoothing_m=smoothing_m)
     if smoothing_m and method != "minimum_curvature":
         raise InvalidInputError(f"smoothing_m: needed 0 with method '{method}', got {smoothing_m}")
-    pieces = lines.split()
-    if folds < 2 or len(pieces) < 2 * folds:
+    survey = lines.survey
+    if folds < 2 or survey.labels < 2 * folds:
         raise TooFewSamplesError(
-            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {len(pieces)}"
+            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {survey.labels}"
         )
-    spacing_m = line_spacing_m(lines)
+    spacing_m = survey.spacing_m
     axes = Axes.of(grid) if grid is not None else Axes.over(lines, spacing)
-    fold = folds_of(pieces, folds)
     step_m = 0.6 * spacing_m
 
     def gridded(parted: list[tuple[list[Lines], list[Window]]], smoothing: float) -> list[_Fold]:
         weight = weight_of(lines, axes, smoothing, spacing_m)
         return [_fold(kept, left, axes, method, spacing_m, weight) for kept, left in parted]
 
-    whole = []
-    for k in range(folds):
-        kept, left = ([p for p, f in zip(pieces, fold, strict=True) if (f == k) == out] for out in (False, True))
-        whole.append((kept, windows_of(left, step_m, WINDOW)))
+    whole = [(kept, windows_of(left, step_m, WINDOW)) for kept, left in survey.parted(folds)]
     parts = gridded(whole, smoothing_m or 0.0)
     count = sum(len(p.windows) for p in parts)
     if count < 20:
@@ -264,8 +250,8 @@ def learn_errors(
             f"survey lines: needed lines for at least 20 windows of {SHORTEST_WINDOW} samples, {step_m:.0f} m apart, got {count}"
         )
     if smoothing_m is None and grid is None and method == "minimum_curvature":
-        kept = _without_stretches(pieces, step_m, min(axes.cell, 0.5 * step_m))
-        thinned = [(kept, windows_of(pieces, step_m, WINDOW))]
+        kept = _without_stretches(survey.pieces, step_m, min(axes.cell, 0.5 * step_m))
+        thinned = [(kept, windows_of(survey.pieces, step_m, WINDOW))]
         smoothing_m, parts = _choose_smoothing(
             parts, lambda length: gridded(whole, length), lambda length: gridded(thinned, length), spacing_m
         )
@@ -281,7 +267,7 @@ def learn_errors(
             samples.append(np.vstack([error, *layers]))
     together = np.hstack(samples)
     residuals, gradient, curvature, distance = together[:, np.all(np.isfinite(together), axis=0)]
-    law = Law(noise_of(pieces), 0.5 * spacing_m, axes.cell)
+    law = Law(survey.noise, 0.5 * spacing_m, axes.cell)
     if smoothing_m:
         # Where lines are not honoured, what they are missed by is the least error there.
         missed = np.concatenate([part.misses() for part in parts])

@@ -142,5 +142,12 @@ def map_from_lines(
         surface, distance = grid_lines([lines], axes, method, weight)
         reach = 2.5 * model.line_spacing_m if max_distance_m is None else max_distance_m
         xs, ys = axes.coordinates()
-        grid = GridMap(np.where(distance <= reach, surface, np.nan), xs, ys, geographic=lines.geographic)
+        grid = GridMap(
+            np.where(distance <= reach, surface, np.nan),
+            xs,
+            ys,
+            geographic=lines.geographic,
+            name=lines.name,
+            units=lines.unit,
+        )
     return with_errors(grid, lines, model)

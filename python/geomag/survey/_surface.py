@@ -11,7 +11,7 @@ import numpy.typing as npt
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, _distance_to_data, _minimum_curvature
 from geomag._optional import require
-from geomag.survey._lines import Array, Lines, legs_m, line_spacing_m
+from geomag.survey._lines import Array, Lines
 
 #: Nodes of a map whose spacing is chosen here.
 MOST_NODES = 1_500_000
@@ -39,7 +39,7 @@ class Axes:
         if spacing is None:
             # An eighth of the gap lets a feature be placed within it; a country is gridded more coarsely.
             area = np.ptp(lines.x) * east * np.ptp(lines.y) * north
-            step = max(line_spacing_m(lines) / 8, float(np.sqrt(area / MOST_NODES)))
+            step = max(lines.survey.spacing_m / 8, float(np.sqrt(area / MOST_NODES)))
             sx, sy = step / east, step / north
         else:
             try:
@@ -95,8 +95,7 @@ def weight_of(lines: Lines, axes: Axes, smoothing_m: float, spacing_m: float) ->
     """Weight of a datum that damps waves of the length 2 pi `smoothing_m` to a half, where data lie everywhere as densely as on the mean."""
     if smoothing_m == 0:
         return np.inf
-    length = sum(float(legs_m(one.x, one.y, lines.scale_m()).sum()) for one in lines.split())
-    density = lines.x.size / (length * spacing_m)
+    density = lines.x.size / (lines.survey.length_m * spacing_m)
     return axes.cell_m[1] ** 3 / (axes.cell_m[0] * density * smoothing_m**4)
 
 
