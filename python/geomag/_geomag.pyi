@@ -44,7 +44,18 @@ class GridMap:
     @property
     def sigma(self) -> float | _Floats | None: ...
     def with_error_model(
-        self, *, nu: float, scale_spread: float, correlation: float, registration: float, distance_m: ArrayLike
+        self,
+        *,
+        nu: float,
+        scale_spread: float,
+        correlation: float,
+        registration: float,
+        distance_m: ArrayLike,
+        sample_factor: float | None = None,
+        batch_factor: float | None = None,
+        crossover: float | None = None,
+        registration_m_per_d: float | None = None,
+        registration_length: float | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapSigma};
-use geomag_core::map_error::{DistanceLayer, MapErrorModel};
+use geomag_core::map_error::{DistanceLayer, FilterLaw, MapErrorModel};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -215,7 +215,14 @@ impl PyGridMap {
     }
 
     /// The same map with the statistics of its errors: see `geomag.survey`.
-    #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m))]
+    ///
+    /// The five after `distance_m` are what a filter has to know (`Navigator`): sigma of a single sample over the stored
+    /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
+    /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
+    /// defaults; without any the navigator uses its own.
+    #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
+                        batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
         nu: f64,
@@ -223,6 +230,11 @@ impl PyGridMap {
         correlation: f64,
         registration: f64,
         distance_m: &Bound<'_, PyAny>,
+        sample_factor: Option<f64>,
+        batch_factor: Option<f64>,
+        crossover: Option<f64>,
+        registration_m_per_d: Option<f64>,
+        registration_length: Option<f64>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
@@ -234,7 +246,16 @@ impl PyGridMap {
             }
             DistanceLayer::Grid(values.into_iter().map(|d| d as f32).collect())
         };
-        let model = MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer };
+        let stated = [sample_factor, batch_factor, crossover, registration_m_per_d, registration_length];
+        let usual = FilterLaw::default();
+        let filter = stated.iter().any(Option::is_some).then(|| FilterLaw {
+            sample_factor: sample_factor.unwrap_or(usual.sample_factor),
+            batch_factor: batch_factor.unwrap_or(usual.batch_factor),
+            crossover: crossover.unwrap_or(usual.crossover),
+            registration_m_per_d: registration_m_per_d.unwrap_or(usual.registration_m_per_d),
+            registration_length: registration_length.unwrap_or(usual.registration_length),
+        });
+        let model = MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer, filter };
         Ok(self.with_model(Some(model))?)
     }
 
@@ -253,6 +274,13 @@ impl PyGridMap {
                 let values = layer.iter().map(|d| f64::from(*d)).collect();
                 out.set_item("distance_m", shaped(py, values, &[self.shape().0, self.shape().1])?)?;
             }
+        }
+        if let Some(law) = &model.filter {
+            out.set_item("sample_factor", law.sample_factor)?;
+            out.set_item("batch_factor", law.batch_factor)?;
+            out.set_item("crossover", law.crossover)?;
+            out.set_item("registration_m_per_d", law.registration_m_per_d)?;
+            out.set_item("registration_length", law.registration_length)?;
         }
         Ok(Some(out))
     }
@@ -422,6 +450,7 @@ impl PyGridMap {
                 None => Err(invalid("saved error model", key, "nothing")),
             }
         };
+        let optional = |key: &str| -> PyRes<Option<f64>> { Ok(model.get_item(key)?.map(|v| v.extract()).transpose()?) };
         let Some(distance) = model.get_item("distance_m")? else {
             return Err(invalid("saved error model", "distance_m", "nothing"));
         };
@@ -431,6 +460,11 @@ impl PyGridMap {
             number("correlation")?,
             number("registration")?,
             &distance,
+            optional("sample_factor")?,
+            optional("batch_factor")?,
+            optional("crossover")?,
+            optional("registration_m_per_d")?,
+            optional("registration_length")?,
         )
     }
 
