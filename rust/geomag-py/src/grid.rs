@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
-use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapSigma};
+use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
 use geomag_core::map_error::{DistanceLayer, FilterLaw, MapErrorModel};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -39,6 +39,9 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 ///     Whether the coordinates are degrees.
 /// sigma : float or array of the shape of values, optional
 ///     Standard deviation of the stored values against the true field, value units.
+/// height_m : float or array of the shape of values, optional
+///     Height of the values, metres above the height datum, positive up: a level, or a surface draped over the ground. The
+///     datum (ellipsoid, geoid, mean sea level) is the map's own; the heights of tracks are counted from the same.
 /// name, units, crs : str, optional
 ///     Carried along.
 ///
@@ -121,7 +124,7 @@ impl PyGridMap {
 #[pymethods]
 impl PyGridMap {
     #[new]
-    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, name = None, units = None, crs = None))]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, height_m = None, name = None, units = None, crs = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -129,6 +132,7 @@ impl PyGridMap {
         y: &Bound<'_, PyAny>,
         geographic: bool,
         sigma: Option<&Bound<'_, PyAny>>,
+        height_m: Option<&Bound<'_, PyAny>>,
         name: Option<String>,
         units: Option<String>,
         crs: Option<String>,
@@ -159,6 +163,20 @@ impl PyGridMap {
                 MapSigma::Grid((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
             };
             inner = inner.with_sigma(Some(layer))?;
+        }
+        if let Some(height) = height_m {
+            let layer = if let Ok(level) = height.extract::<f64>() {
+                MapHeight::Level(level)
+            } else {
+                let (layer, height_rows, height_columns) = matrix("height_m", height)?;
+                if (height_rows, height_columns) != (rows, columns) {
+                    let got = format!("({height_rows}, {height_columns})");
+                    return Err(Error::shape("height_m", format!("({rows}, {columns}) as values"), got).into());
+                }
+                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
+                MapHeight::Drape((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+            };
+            inner = inner.with_height(Some(layer))?;
         }
         Ok(Self { inner: Arc::new(inner), name, units, crs })
     }
@@ -211,6 +229,18 @@ impl PyGridMap {
             None => Ok(None),
             Some(MapSigma::Constant(s)) => Ok(Some(shaped(py, vec![*s], &[])?)),
             Some(MapSigma::Grid(g)) => Ok(Some(shaped(py, g.clone(), &[self.inner.y().len(), self.inner.x().len()])?)),
+        }
+    }
+
+    /// Height of the values, metres above the height datum: None, a number, or an array laid out as the values.
+    #[getter]
+    fn height_m<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        match self.inner.height() {
+            None => Ok(None),
+            Some(MapHeight::Level(h)) => Ok(Some(shaped(py, vec![*h], &[])?)),
+            Some(MapHeight::Drape(d)) => {
+                Ok(Some(shaped(py, d.clone(), &[self.inner.y().len(), self.inner.x().len()])?))
+            }
         }
     }
 
@@ -416,11 +446,13 @@ impl PyGridMap {
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
         let model = this.error_model(py)?;
         let arguments =
-            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model).into_pyobject(py)?;
+            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model, this.height_m(py)?)
+                .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
+    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None))]
     #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
@@ -429,6 +461,7 @@ impl PyGridMap {
         sigma: Option<&Bound<'_, PyAny>>,
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
+        height_m: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -441,7 +474,14 @@ impl PyGridMap {
                 Err(_) => MapSigma::Grid(matrix("sigma", s)?.0),
             }),
         };
-        let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?;
+        let height = match height_m {
+            None => None,
+            Some(h) => Some(match h.extract::<f64>() {
+                Ok(level) => MapHeight::Level(level),
+                Err(_) => MapHeight::Drape(matrix("height_m", h)?.0),
+            }),
+        };
+        let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_height(height)?;
         let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
         let Some(model) = model else { return Ok(map) };
         let number = |key: &str| -> PyRes<f64> {
