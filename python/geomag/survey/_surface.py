@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -68,13 +69,27 @@ class Axes:
         return x, y
 
 
-def grid_lines(lines: list[Lines], axes: Axes, method: str, weight: float = np.inf) -> tuple[Array, Array]:
-    """Values and distances to the data at the nodes; a finite `weight` of each datum lets the surface miss it."""
+def grid_lines(
+    lines: list[Lines],
+    axes: Axes,
+    method: str,
+    weight: float = np.inf,
+    reach_m: float = np.inf,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Array, Array]:
+    """Values and distances to the data at the nodes; a finite `weight` of each datum lets the surface miss it.
+
+    Nodes further than `reach_m` from any datum are not worked out: their values have no meaning.
+    """
     x, y, values = (np.concatenate([getattr(one, name) for one in lines]) for name in ("x", "y", "values"))
     distance = _distance_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m)
     if method == "minimum_curvature":
         aspect = axes.cell_m[0] / axes.cell_m[1]
-        return _minimum_curvature(x, y, values, axes.x, axes.y, aspect=aspect, weight=weight), distance
+        reach = reach_m / axes.cell_m[1]
+        surface = _minimum_curvature(
+            x, y, values, axes.x, axes.y, aspect=aspect, weight=weight, reach=reach, progress=progress
+        )
+        return surface, distance
     if method not in ("linear", "cubic"):
         raise InvalidInputError(f"method: needed 'minimum_curvature', 'linear' or 'cubic', got '{method}'")
     interpolate = require("scipy.interpolate", "survey", f"gridding by method '{method}'")

@@ -10,7 +10,7 @@ use crate::long_call;
 
 /// Minimum-curvature values (rows, columns) of points on the grid of two axes given as (first, step, length).
 #[pyfunction]
-#[pyo3(name = "_minimum_curvature", signature = (x, y, values, x_axis, y_axis, *, aspect, weight = f64::INFINITY, reach = f64::INFINITY, sweeps = 400, progress = None))]
+#[pyo3(name = "_minimum_curvature", signature = (x, y, values, x_axis, y_axis, *, aspect, weight = f64::INFINITY, reach = f64::INFINITY, sweeps = 120, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each
 pub fn py_minimum_curvature<'py>(
     py: Python<'py>,

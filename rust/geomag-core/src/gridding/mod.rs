@@ -24,7 +24,7 @@ const ROUNDS: usize = 4;
 ///
 /// `aspect` is the cell's width over its height in metres. Nodes with data in their own cell take the mean of these, moved to
 /// the node along the surface's gradient; all others are relaxed until the surface between them has least curvature
-/// (`sweeps` Gauss-Seidel sweeps a round; 100 is plenty). That is a `weight` of infinity; a finite one lets the surface miss
+/// (`sweeps` sweeps of over-relaxation a level; 100 are plenty). That is a `weight` of infinity; a finite one lets the surface miss
 /// its data, so that `weight` times the misses squared and the squared curvature (per cell height) together are least: a
 /// smoothing spline. Nodes far from any datum have no meaning; mask them with [`distance_to_data`]. Those further than `reach`
 /// (cell heights) keep what the coarsest level says.

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::Bin;
 
 /// Over-relaxation of the sweeps.
-const RELAXATION: f64 = 1.4; // EXPERIMENT
+const RELAXATION: f64 = 1.7;
 /// Classes of rows that are relaxed one after the other.
 const CLASSES: usize = 3;
 
@@ -68,13 +68,12 @@ impl<'a> Level<'a> {
     pub fn pin(&mut self) {
         let slope = |low: f64, high: f64, cells: usize| if cells > 0 { (high - low) / cells as f64 } else { 0.0 };
         let (columns, rows, centre) = (self.columns, self.rows, self.centre());
-        let omega = relaxation();
         for r in 0..rows {
             for c in 0..columns {
                 let bin = &self.bins[r * columns + c];
                 let place = r / CLASSES * columns + c;
                 if bin.count == 0 {
-                    self.nodes[r % CLASSES][place] = [omega / centre, 1.0 - omega, 0.0];
+                    self.nodes[r % CLASSES][place] = [RELAXATION / centre, 1.0 - RELAXATION, 0.0];
                     continue;
                 }
                 let (c0, c1) = (c.saturating_sub(1), (c + 1).min(columns - 1));
@@ -86,8 +85,8 @@ impl<'a> Level<'a> {
                 self.nodes[r % CLASSES][place] = if held.is_infinite() {
                     [0.0, 1.0, 0.0]
                 } else {
-                    let factor = omega / (centre + held);
-                    [factor, 1.0 - omega, factor * held * target]
+                    let factor = RELAXATION / (centre + held);
+                    [factor, 1.0 - RELAXATION, factor * held * target]
                 };
                 if held.is_infinite() {
                     self.surface[r % CLASSES][place] = target;
@@ -193,5 +192,3 @@ fn runs(flags: &[bool]) -> Vec<(usize, usize)> {
     }
     out
 }
-
-fn relaxation() -> f64 { std::env::var("SV_OMEGA").ok().and_then(|v| v.parse().ok()).unwrap_or(RELAXATION) }
