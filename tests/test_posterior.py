@@ -375,6 +375,13 @@ def survey(seed=0):
     return Lines(*(np.concatenate(a) for a in (x, y, v, line)))
 
 
+@pytest.fixture(autouse=True)
+def few_windows(monkeypatch):
+    """Errors are learnt from fewer windows than usual, which is quick."""
+    monkeypatch.setattr("geomag.survey._trials.MOST_WINDOWS", 150)
+    monkeypatch.setattr("geomag.survey._trials.FORECAST_WINDOWS", 40)
+
+
 def test_lines_become_a_map_that_knows_its_errors():
     lines = survey()
     assert line_spacing_m(lines) == pytest.approx(300, rel=0.15)
@@ -420,6 +427,7 @@ def test_smoothed_lines_keep_the_trend_and_lose_the_noise():
 def test_errors_that_go_together_further_than_usual_are_learnt(monkeypatch):
     monkeypatch.setattr("geomag.survey._trials.FIRST_CORRELATION", 0.2)
     monkeypatch.setattr("geomag.survey._trials.SHARES", (0.5,))
+    monkeypatch.setattr("geomag.survey._trials.SPREADS", (0.35,))
     model = learn_errors(survey(), smoothing_m=0.0, folds=3, seed=1)
     tried = sorted(t["correlation"] for t in model.trials)
     # Longer and longer ones, until the longest is not the best.

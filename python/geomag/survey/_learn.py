@@ -16,7 +16,7 @@ from geomag.survey._model import REGISTRATION, ErrorModel, Law
 from geomag.survey._steps import Progress, Steps
 from geomag.survey._surface import Axes, nearest, weight_of
 from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, Window, windows_of
-from geomag.survey._trials import LEAST_RISK, Settings, Trials, correlation_at, flown
+from geomag.survey._trials import LEAST_RISK, Settings, Trials, flown
 
 #: Folds where nothing is said, and the fewest lines of each.
 FOLDS = 6
@@ -24,7 +24,7 @@ LINES_A_FOLD = 4
 #: Fewest windows that anything is learnt from.
 FEWEST_WINDOWS = 20
 #: About how many error models are tried.
-USUAL_TRIALS = 9
+USUAL_TRIALS = 11
 
 
 def learn_errors(
@@ -45,8 +45,8 @@ def learn_errors(
     """Learn the error model of a map from its own lines.
 
     A `folds`-th of the lines is left out at a time (neighbouring lines in different folds; six folds where there are lines enough), the others are
-    gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors, window by window for the correlation,
-    which is the one whose declared risks have the least log loss, and for the line in log-odds by which risks are then to be read. Nothing
+    gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors, window by window for the correlation and the spread of the error level,
+    which are those whose declared risks have the least log loss, and for the line in log-odds by which risks are then to be read. Nothing
     is tuned by hand and nothing but the lines goes in.
 
     `spacing_m` (metres between samples), `half_width_m` (bound of the start error per axis), `tolerance_m` and `samples` are those that will be flown: what is learnt
@@ -118,9 +118,10 @@ def learn_errors(
         )
     law, abc = _sizes(parts, survey.noise, line_spacing, bool(smoothing_m))
     trials = Trials(parts, law, abc, settings, independent, rng, steps)
-    correlation, share, best = trials.search()
+    point, correlation = trials.search()
+    best, share = trials.at(point), point.share
     line = fit_recalibration(best.risk[best.stated], best.wrong[best.stated], independent, LEAST_RISK)
-    forecast = trials.forecast(correlation, share, line, best)
+    forecast = trials.forecast(point, correlation, line)
     steps.add(np.inf)
     a, b, c = abc
     return ErrorModel(
@@ -134,9 +135,16 @@ def learn_errors(
         windows=count,
         loss=best.loss,
         smoothing_m=smoothing_m or 0.0,
+        scale_spread=point.spread,
         trials=[
-            {"correlation": correlation_at(step), "share": some, "loss": one.loss, "total": one.total}
-            for (step, some), one in trials.seen.items()
+            {
+                "correlation": some.correlation,
+                "share": some.share,
+                "spread": some.spread,
+                "loss": one.loss,
+                "total": one.total,
+            }
+            for some, one in trials.seen.items()
         ],
         share=share,
         recalibration=line,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from geomag.survey._steps import Steps
 from geomag.survey._survey import windows_of
 
 #: Windows that are learnt from, where the lines give them; overlaps of neighbours and starts of one window that make up for lines that do not.
-MOST_WINDOWS = 640
+MOST_WINDOWS = 800
 MOST_OVERLAP = 0.75
 MOST_STARTS = 3
 #: Risks are counted as at least this: so many windows tell nothing of lesser ones.
@@ -29,10 +29,13 @@ CORRELATION_RANGE = (0.2, 20.0)
 #: already: most tracks need less.
 SHARES = (0.35, 0.5, 0.7, 1.0)
 FIRST_SHARE = 0.5
-#: What is believed of the two before a survey is seen: centre and standard deviation of the logarithm. A survey of a
+#: Spreads of the error level from track to track that are tried.
+SPREADS = (0.17, 0.25, 0.35, 0.5)
+#: What is believed of the three before a survey is seen: centre and standard deviation of the logarithm. A survey of a
 #: few hundred windows moves them.
 CORRELATION_PRIOR = (1.1, 0.55)
 SHARE_PRIOR = (0.5, 0.35)
+SPREAD_PRIOR = (SCALE_SPREAD, 0.5)
 #: Statuses whose risk is no statement on the answer: the truth may lie elsewhere altogether.
 NO_STATEMENT = ("at_edge", "lost", "rejected")
 #: Levels of error that flights are simulated with for the forecast, and the most windows that it is learnt from.
@@ -68,6 +71,40 @@ class Settings:
         )
 
 
+@dataclass(frozen=True)
+class Point:
+    """An error model that is tried: place of its correlation length on the ladder, share of sigma, spread of the level."""
+
+    step: int = 0
+    share: float = FIRST_SHARE
+    spread: float = SCALE_SPREAD
+
+    @property
+    def correlation(self) -> float:
+        """Correlation length, in distances to the data."""
+        return correlation_at(self.step)
+
+    def unlikely(self) -> float:
+        """Minus the logarithm of its prior."""
+        told = (
+            (self.correlation, CORRELATION_PRIOR),
+            (self.share, SHARE_PRIOR),
+            (self.spread, SPREAD_PRIOR),
+        )
+        return float(sum(0.5 * (np.log(value / centre) / spread) ** 2 for value, (centre, spread) in told))
+
+    def neighbour(self, name: str, way: int) -> Point | None:
+        """The next one along a coordinate, None at its end."""
+        if name == "step":
+            there = replace(self, step=self.step + way)
+            return there if CORRELATION_RANGE[0] <= there.correlation <= CORRELATION_RANGE[1] else None
+        ladder = SHARES if name == "share" else SPREADS
+        place = ladder.index(self.share if name == "share" else self.spread) + way
+        if not 0 <= place < len(ladder):
+            return None
+        return replace(self, share=ladder[place]) if name == "share" else replace(self, spread=ladder[place])
+
+
 @dataclass
 class Outcome:
     """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything."""
@@ -93,7 +130,7 @@ def flown(parts: list[Fold], settings: Settings, rng: np.random.Generator) -> fl
         overlap = min(MOST_OVERLAP, 1 - alone / MOST_WINDOWS)
         apart = [part.covered(windows_of(part.left, settings.spacing_m, settings.samples, overlap)) for part in parts]
     count = sum(map(len, apart))
-    starts = 1 if count == 0 else min(MOST_STARTS, max(1, MOST_WINDOWS // count))
+    starts = 1 if count == 0 else min(MOST_STARTS, max(1, round(MOST_WINDOWS / count)))
     share = min(1.0, MOST_WINDOWS / max(count, 1))
     for part, windows in zip(parts, apart, strict=True):
         limit = int(np.ceil(share * len(windows)))
@@ -113,7 +150,7 @@ class Trials:
     independent: float
     rng: np.random.Generator
     steps: Steps
-    seen: dict[tuple[int, float], Outcome] = field(default_factory=dict)
+    seen: dict[Point, Outcome] = field(default_factory=dict)
     _maps: dict[float, list[tuple[GridMap, Array]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -142,19 +179,18 @@ class Trials:
             ]
         return self._maps[share]
 
-    def at(self, step: int, share: float) -> Outcome:
-        """What comes of the windows at a correlation length, given by its place on the ladder, and a share."""
-        if (step, share) in self.seen:
-            return self.seen[step, share]
-        correlation = correlation_at(step)
+    def at(self, point: Point) -> Outcome:
+        """What comes of the windows with an error model."""
+        if point in self.seen:
+            return self.seen[point]
         risk, error, stated = [], [], []
-        for (grid, distance), some, offsets in zip(self.maps(share), self._tracks, self._offsets, strict=True):
+        for (grid, distance), some, offsets in zip(self.maps(point.share), self._tracks, self._offsets, strict=True):
             if not some:
                 continue
             model = grid.with_error_model(
                 nu=NU,
-                scale_spread=SCALE_SPREAD,
-                correlation=correlation,
+                scale_spread=point.spread,
+                correlation=point.correlation,
                 registration=REGISTRATION,
                 distance_m=distance,
             )
@@ -169,64 +205,46 @@ class Trials:
         outcome = Outcome(
             np.array(risk)[known], away[known], away[known] > self.settings.tolerance_m, np.array(stated)[known]
         )
-        unlikely = 0.5 * (np.log(correlation / CORRELATION_PRIOR[0]) / CORRELATION_PRIOR[1]) ** 2
-        unlikely += 0.5 * (np.log(share / SHARE_PRIOR[0]) / SHARE_PRIOR[1]) ** 2
-        outcome.total = self.independent * outcome.loss * outcome.risk.size + float(unlikely)
-        self.seen[step, share] = outcome
+        outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely()
+        self.seen[point] = outcome
         self.steps.add(1.0)
         return outcome
 
-    def search(self) -> tuple[float, float, Outcome]:
-        """Correlation length and share of the least loss, and what comes of the windows at the nearest that was tried."""
-        step, share = 0, FIRST_SHARE
+    def search(self) -> tuple[Point, float]:
+        """The error model of the least loss of those that were tried, and the correlation length of the least loss about it."""
+        best = Point()
         while True:
-            step = self._descend(step, share)
-            better = self._best_share(step, share)
-            if better == share:
-                break
-            share = better
-        best = self.at(step, share)
-        return self._between(step, share), share, best
+            before = best
+            for name in ("step", "share", "spread"):
+                best = self._descend(best, name)
+            if best == before:
+                return best, self._between(best)
 
-    def _descend(self, step: int, share: float) -> int:
+    def _descend(self, point: Point, name: str) -> Point:
+        """Along one coordinate as long as the loss falls."""
         for way in (1, -1):
             moved = False
-            while (
-                CORRELATION_RANGE[0] <= correlation_at(step + way) <= CORRELATION_RANGE[1]
-                and self.at(step + way, share).total < self.at(step, share).total
-            ):
-                step, moved = step + way, True
+            there = point.neighbour(name, way)
+            while there is not None and self.at(there).total < self.at(point).total:
+                point, moved = there, True
+                there = point.neighbour(name, way)
             if moved:
                 break
-        return step
+        return point
 
-    def _best_share(self, step: int, share: float) -> float:
-        place = SHARES.index(share)
-        for way in (1, -1):
-            moved = False
-            while (
-                0 <= place + way < len(SHARES)
-                and self.at(step, SHARES[place + way]).total < self.at(step, SHARES[place]).total
-            ):
-                place, moved = place + way, True
-            if moved:
-                break
-        return SHARES[place]
-
-    def _between(self, step: int, share: float) -> float:
-        """The lowest point of the parabola through the best step and its neighbours."""
-        around = [self.seen.get((step + k, share)) for k in (-1, 0, 1)]
+    def _between(self, best: Point) -> float:
+        """The lowest point of the parabola through the best correlation length and its neighbours."""
+        around = [self.seen.get(replace(best, step=best.step + k)) for k in (-1, 0, 1)]
         if any(one is None for one in around):
-            return correlation_at(step)
+            return best.correlation
         low, middle, high = (one.total for one in around if one is not None)
         bend = low - 2 * middle + high
         shift = 0.0 if bend <= 0 else float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
-        return correlation_at(step + shift)
+        return correlation_at(best.step + shift)
 
-    def forecast(
-        self, correlation: float, share: float, line: tuple[float, float], best: Outcome
-    ) -> tuple[float, float] | None:
+    def forecast(self, point: Point, correlation: float, line: tuple[float, float]) -> tuple[float, float] | None:
         """Factors on simulated errors and on the standard deviation foretold that agree with what came of the windows."""
+        best = self.at(point)
         declared = recalibrated(best.risk, line)
         fixed = best.stated & (declared <= FORECAST_RISK)
         if fixed.sum() < 20:
@@ -237,13 +255,13 @@ class Trials:
         shares, variance = [], np.nan
         for level in FORECAST_LEVELS:
             found = []
-            for k, ((grid, distance), part) in enumerate(zip(self.maps(share), self.parts, strict=True)):
+            for k, ((grid, distance), part) in enumerate(zip(self.maps(point.share), self.parts, strict=True)):
                 some = part.windows[:: max(1, round(1 / keep))]
                 if not some:
                     continue
                 model = grid.with_error_model(
                     nu=NU,
-                    scale_spread=SCALE_SPREAD,
+                    scale_spread=point.spread,
                     correlation=correlation,
                     registration=REGISTRATION,
                     distance_m=distance,
@@ -269,7 +287,7 @@ class Trials:
         logs = np.log(FORECAST_LEVELS[: len(shares)])
         order = np.argsort(shares)
         level = float(np.exp(np.interp(observed, np.array(shares)[order], logs[order])))
-        return level, rms / np.sqrt(variance)
+        return level, rms / float(np.sqrt(variance))
 
 
 def correlation_at(step: float) -> float:
