@@ -32,6 +32,7 @@ from geomag._geomag import draw_ins_error as _draw_ins_error
 from geomag._geomag import fly as _fly
 from geomag._metres import metres_per_unit
 from geomag._ranges import above, at_least
+from geomag._vehicle import CalibrationFlight, VehicleField, attitude_along, calibration_box
 from geomag.survey import Lines
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from geomag._geomag import GridMap
 
 __all__ = [
+    "CalibrationFlight",
     "Crust",
     "Flight",
     "InsError",
@@ -51,6 +53,9 @@ __all__ = [
     "Sensor",
     "SyntheticField",
     "Uniform",
+    "VehicleField",
+    "attitude_along",
+    "calibration_box",
     "fly",
     "survey",
 ]
