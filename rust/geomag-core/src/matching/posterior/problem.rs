@@ -13,7 +13,6 @@ use super::nuisance::{Node, Nuisance, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::map_error::Forecast;
 use crate::monitor::Monitor;
 use crate::track::Track;
