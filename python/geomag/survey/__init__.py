@@ -21,11 +21,12 @@ observational data, SIAM, 1990), its length is chosen by those lines (`ErrorMode
 
 from __future__ import annotations
 
+from geomag.survey._flights import learn_from_flights
 from geomag.survey._learn import learn_errors
 from geomag.survey._lines import Lines, read_lines, smooth_lines
 from geomag.survey._maps import map_from_lines, with_errors, with_line_spacing
 from geomag.survey._model import ErrorModel, limit_of_mean
 from geomag.survey._survey import Survey, folds_of, line_spacing_m
 
-__all__ = ["ErrorModel", "Lines", "Survey", "folds_of", "learn_errors", "limit_of_mean", "line_spacing_m", "map_from_lines", "read_lines", "smooth_lines",
+__all__ = ["ErrorModel", "Lines", "Survey", "folds_of", "learn_errors", "learn_from_flights", "limit_of_mean", "line_spacing_m", "map_from_lines", "read_lines", "smooth_lines",
            "with_errors", "with_line_spacing"]  # fmt: skip

@@ -116,14 +116,31 @@ def learn_errors(
         raise TooFewSamplesError(
             f"survey lines: needed at least {FEWEST_WINDOWS} windows that the map of the other lines covers, got {count}"
         )
-    law, abc = _sizes(parts, survey.noise, line_spacing, bool(smoothing_m))
+    law = Law(survey.noise, 0.5 * line_spacing, axes.cell)
+    if smoothing_m:
+        # Where lines are not honoured, what they are missed by is the least error there.
+        missed = np.concatenate([part.misses() for part in parts])
+        law = replace(law, noise=max(law.noise, 1.4826 * float(np.median(np.abs(missed)))))
+    return settled(parts, law, settings, independent, rng, steps, smoothing_m or 0.0)
+
+
+def settled(
+    parts: list[Fold],
+    law: Law,
+    settings: Settings,
+    independent: float,
+    rng: np.random.Generator,
+    steps: Steps,
+    smoothing_m: float = 0.0,
+) -> ErrorModel:
+    """The error model that windows on unseen readings ask for: sizes, correlation, spread, how risks are to be read, forecast."""
+    a, b, c = abc = _sizes(parts, law)
     trials = Trials(parts, law, abc, settings, independent, rng, steps)
     point, correlation = trials.search()
     best, share = trials.at(point), point.share
     line = fit_recalibration(best.risk[best.stated], best.wrong[best.stated], independent, LEAST_RISK)
     forecast = trials.forecast(point, correlation, line)
     steps.add(np.inf)
-    a, b, c = abc
     return ErrorModel(
         noise=law.noise,
         floor=a * share,
@@ -131,10 +148,10 @@ def learn_errors(
         curvature=c * share,
         correlation=correlation,
         registration=REGISTRATION,
-        line_spacing_m=line_spacing,
-        windows=count,
+        line_spacing_m=2 * law.half_spacing,
+        windows=sum(len(part.windows) for part in parts),
         loss=best.loss,
-        smoothing_m=smoothing_m or 0.0,
+        smoothing_m=smoothing_m,
         scale_spread=point.spread,
         trials=[
             {
@@ -154,15 +171,13 @@ def learn_errors(
             "spacing_m": settings.spacing_m,
             "half_width_m": settings.half_width_m,
             "tolerance_m": settings.tolerance_m,
-            "samples": float(samples),
+            "samples": float(settings.samples),
         },
     )
 
 
-def _sizes(
-    parts: list[Fold], noise: float, line_spacing: float, smoothed: bool
-) -> tuple[Law, tuple[float, float, float]]:
-    """Noise, and a, b, c of the formula of sigma, from the errors of single samples."""
+def _sizes(parts: list[Fold], law: Law) -> tuple[float, float, float]:
+    """a, b, c of the formula of sigma, from the errors of single samples."""
     axes = parts[0].axes
     samples: list[Array] = []
     for part in parts:
@@ -171,10 +186,5 @@ def _sizes(
             samples.append(np.vstack([error, *layers]))
     together = np.hstack(samples)
     residuals, gradient, curvature, distance = together[:, np.all(np.isfinite(together), axis=0)]
-    law = Law(noise, 0.5 * line_spacing, axes.cell)
-    if smoothed:
-        # Where lines are not honoured, what they are missed by is the least error there.
-        missed = np.concatenate([part.misses() for part in parts])
-        law = replace(law, noise=max(law.noise, 1.4826 * float(np.median(np.abs(missed)))))
     a, b, c = (float(v) for v in fit_sigma(residuals, gradient, curvature, distance, law))
-    return law, (a, b, c)
+    return a, b, c

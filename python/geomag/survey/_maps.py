@@ -7,6 +7,7 @@ import numpy as np
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, _distance_to_data
 from geomag._ranges import above
+from geomag.survey._folds import REACH
 from geomag.survey._learn import learn_errors
 from geomag.survey._lines import Array, Lines
 from geomag.survey._model import ErrorModel, Law, sigma_of
@@ -24,15 +25,22 @@ SPACING_CORRELATION = 2.25
 SPACING_REGISTRATION = 0.15
 
 
-def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
+def with_errors(grid: GridMap, lines: Lines | None, model: ErrorModel) -> GridMap:
     """Return the map with the sigma and the error model that its lines give it.
 
     `grid` is any map made from `lines`; nodes further than 4 line spacings from a datum become holes, because nothing was learnt
-    about them.
+    about them. `lines` is None for a model that was learnt from flights over the grid (`learn_from_flights`), which has one distance
+    for the whole map. Raises `InvalidInputError` where there are neither lines nor such a distance.
     """
     axes = Axes.of(grid)
-    distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
-    values = np.where(distance <= 4 * model.line_spacing_m, np.asarray(grid.values, dtype=float), np.nan)
+    values = np.asarray(grid.values, dtype=float)
+    if lines is not None:
+        distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
+        values = np.where(distance <= REACH * model.line_spacing_m, values, np.nan)
+    elif model.distance_m is not None:
+        distance = np.where(np.isfinite(values), model.distance_m, np.nan)
+    else:
+        raise InvalidInputError("lines: needed those of the map, or a model learnt from flights, got neither")
     gradient, curvature = features(values, distance, axes)
     law = Law(model.noise, 0.5 * model.line_spacing_m, axes.cell)
     sigma = sigma_of(gradient, curvature, distance, law, model.floor, model.displacement, model.curvature)

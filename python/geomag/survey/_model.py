@@ -47,6 +47,7 @@ class ErrorModel:
     (0: the lines are honoured). `share` is the sigma that windows ask for over that of single samples. `recalibration` (slope, intercept) is the line in
     log-odds from the computed risk to the declared one, `forecast` the factors on simulated errors and on the standard deviation foretold, None where
     they were not learnt; `risks` are those declared for the windows left out, and `settings` what they were flown with.
+    `distance_m` is the distance to the data where it is one for the whole map (`learn_from_flights`), None where the lines say.
     """
 
     noise: float
@@ -67,6 +68,7 @@ class ErrorModel:
     forecast: tuple[float, float] | None = None
     risks: list[float] = field(default_factory=list, repr=False)
     settings: dict[str, float] = field(default_factory=dict, repr=False)
+    distance_m: float | None = None
 
     def limit_of_mean(self, mean_risk: float = 0.01) -> float:
         """Return the `max_risk` at which the *mean* risk of what is declared is `mean_risk`, on tracks like the windows left out.
