@@ -14,13 +14,16 @@ from geomag.calibration._assess import assess
 from geomag.calibration._lines import calibrate_lines
 from geomag.calibration._simulated import calibrate_simulated
 from geomag.calibration._suitability import Suitability, suitability
+from geomag.navigation_report import NavigationReport, calibrate_navigation
 
 __all__ = [
     "RISK_BINS",
     "Calibration",
+    "NavigationReport",
     "Suitability",
     "assess",
     "calibrate_lines",
+    "calibrate_navigation",
     "calibrate_simulated",
     "one_sided_limit",
     "suitability",

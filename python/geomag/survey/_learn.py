@@ -11,6 +11,7 @@ from geomag._geomag import GridMap
 from geomag._ranges import above, at_least
 from geomag.survey._fit import fit_recalibration, fit_sigma, recalibrated
 from geomag.survey._folds import DECIDING, Fold, choose_smoothing, without_stretches
+from geomag.survey._learn_filter import learn_filter
 from geomag.survey._lines import Array, Lines
 from geomag.survey._model import REGISTRATION, ErrorModel, Law
 from geomag.survey._steps import Progress, Steps
@@ -140,6 +141,14 @@ def settled(
     best, share = trials.at(point), point.share
     line = fit_recalibration(best.risk[best.stated], best.wrong[best.stated], independent, LEAST_RISK)
     forecast = trials.forecast(point, correlation, line)
+    for_filters = learn_filter(
+        trials.maps(share),
+        [part.left for part in parts],
+        [piece for part in parts for piece in part.left],
+        correlation,
+        law.noise,
+        np.random.default_rng(rng.integers(2**32)),
+    )
     steps.add(np.inf)
     return ErrorModel(
         noise=law.noise,
@@ -153,6 +162,7 @@ def settled(
         loss=best.loss,
         smoothing_m=smoothing_m,
         scale_spread=point.spread,
+        filter=for_filters,
         trials=[
             {
                 "correlation": some.correlation,

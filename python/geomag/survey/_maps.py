@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from geomag._errors import InvalidInputError
@@ -56,10 +58,17 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
         correlation=model.correlation,
         registration=model.registration,
         distance_m=distance,
-        sample_factor=None if model.share is None else 1 / model.share,
+        **_for_filters(model),
         recalibration=model.recalibration,
         forecast=model.forecast,
     )
+
+
+def _for_filters(model: ErrorModel) -> dict[str, float]:
+    """What filters need: as learnt, or at least the law of a single sample."""
+    if model.filter is not None:
+        return asdict(model.filter)
+    return {} if model.share is None else {"sample_factor": 1 / model.share}
 
 
 def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from geomag.survey._learn_filter import FilterLaw
 from geomag.survey._lines import Array
 
 #: Position error of the lines themselves, cells: what the data on a line may be displaced by.
@@ -44,7 +45,8 @@ class ErrorModel:
     `noise` and `floor` (value units), `displacement` (share of the distance to the data) and `curvature` are n, a, b and c of
     the module's formula; `correlation` and `registration` are in distances to the data. `windows` counts the left-out windows that
     it rests on, `loss` is the mean log loss of the risks declared for them. `smoothing_m` is the length over which the map was smoothed
-    (0: the lines are honoured). `share` is the sigma that windows ask for over that of single samples. `recalibration` (slope, intercept) is the line in
+    (0: the lines are honoured). `filter` is what a navigator needs beside that, where the lines were enough to learn it.
+    `share` is the sigma that windows ask for over that of single samples. `recalibration` (slope, intercept) is the line in
     log-odds from the computed risk to the declared one, `forecast` the factors on simulated errors and on the standard deviation foretold, None where
     they were not learnt; `risks` are those declared for the windows left out, and `settings` what they were flown with.
     `distance_m` is the distance to the data where it is one for the whole map (`learn_from_flights`), None where the lines say.
@@ -62,6 +64,7 @@ class ErrorModel:
     smoothing_m: float = 0.0
     nu: float = NU
     scale_spread: float = SCALE_SPREAD
+    filter: FilterLaw | None = None
     trials: list[dict[str, float]] = field(default_factory=list, repr=False)
     share: float | None = None
     recalibration: tuple[float, float] | None = None
