@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError, UnknownVariableError
+from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError
 from geomag._metres import metres_per_unit
 from geomag._ranges import above
-from geomag.io import floats, read_table
+from geomag.io import line_points
 
 if TYPE_CHECKING:
     from geomag.survey._survey import Survey
@@ -149,33 +149,28 @@ class Lines:
 def read_lines(
     path: str | Path,
     *,
-    x: str = "longitude",
-    y: str = "latitude",
-    value: str = "total_field_anomaly_nt",
-    line: str = "line",
+    x: str | None = None,
+    y: str | None = None,
+    value: str | None = None,
+    line: str | None = None,
     height: str | None = None,
-    geographic: bool = True,
+    geographic: bool | None = None,
     unit: str | None = None,
     name: str | None = None,
 ) -> Lines:
-    """Read survey lines from a table (CSV, compressed or not) with one row a point; needs pandas (extra `survey`).
+    """Read survey lines from a table (CSV, compressed or not, Geosoft's text form, Parquet) with one row a point.
 
-    `height` is the column of the heights (metres), where there is one to be read; `unit` and `name` are those of the values. Rows without a
-    position, a value or, if asked for, a height are left out.
+    Columns are known by their names and units as in `geomag.read_track`; what is not known is asked for. Lines are told apart by a column, or
+    by `Line` and `Tie` before their points. `height` is the column of the heights, where they are to be read; `unit` and `name` are those of the values,
+    the unit as the file says it where it does. Rows without a position, a value (`*`) or, if asked for, a height are left out.
 
-    Raises `MissingFileError`, `ReadError` for a file that is no table, and `UnknownVariableError` naming the columns that
-    there are.
+    Raises `MissingFileError`, `ReadError` for a file that is no table, `UnknownVariableError` naming the columns that
+    there are, and `InvalidInputError` where nothing says whether coordinates are degrees or metres.
     """
-    table = read_table(Path(path))
-    numbers = [x, y, value] if height is None else [x, y, value, height]
-    for column in (*numbers, line):
-        if column not in table.columns:
-            raise UnknownVariableError(f"{path}: needed a column '{column}', got {', '.join(map(str, table.columns))}")
-    table = table.dropna(subset=numbers)
-    columns = [floats(table, column, path) for column in numbers]
-    height_m = None if height is None else columns[3]
+    points, labels, heights = line_points(path, x, y, value, line, geographic, height)
+    unit = points.unit if unit is None else unit
     return Lines(
-        columns[0], columns[1], columns[2], table[line].to_numpy(), geographic, height_m=height_m, unit=unit, name=name
+        points.x, points.y, points.values, labels, bool(points.geographic), height_m=heights, unit=unit, name=name
     )
 
 
