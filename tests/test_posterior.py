@@ -429,7 +429,6 @@ def test_smoothed_lines_keep_the_trend_and_lose_the_noise():
 def test_errors_that_go_together_further_than_usual_are_learnt(monkeypatch):
     monkeypatch.setattr("geomag.survey._trials.FIRST_CORRELATION", 0.2)
     monkeypatch.setattr("geomag.survey._trials.SHARES", (0.5,))
-    monkeypatch.setattr("geomag.survey._trials.SPREADS", (0.35,))
     model = learn_errors(survey(), smoothing_m=0.0, folds=3, seed=1)
     tried = sorted(t["correlation"] for t in model.trials)
     # Longer and longer ones, until the longest is not the best.

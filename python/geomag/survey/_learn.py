@@ -13,7 +13,7 @@ from geomag.survey._fit import fit_recalibration, fit_sigma, recalibrated
 from geomag.survey._folds import DECIDING, Fold, choose_smoothing, without_stretches
 from geomag.survey._learn_filter import learn_filter
 from geomag.survey._lines import Array, Lines
-from geomag.survey._model import REGISTRATION, ErrorModel, Law
+from geomag.survey._model import LEARNT_SPREAD, REGISTRATION, ErrorModel, Law
 from geomag.survey._steps import Progress, Steps
 from geomag.survey._surface import Axes, nearest, weight_of
 from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, Window, windows_of
@@ -25,7 +25,7 @@ LINES_A_FOLD = 4
 #: Fewest windows that anything is learnt from.
 FEWEST_WINDOWS = 20
 #: About how many error models are tried.
-USUAL_TRIALS = 11
+USUAL_TRIALS = 9
 
 
 def learn_errors(
@@ -46,8 +46,8 @@ def learn_errors(
     """Learn the error model of a map from its own lines.
 
     A `folds`-th of the lines is left out at a time (neighbouring lines in different folds; six folds where there are lines enough), the others are
-    gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors, window by window for the correlation and the spread of the error level,
-    which are those whose declared risks have the least log loss, and for the line in log-odds by which risks are then to be read. Nothing
+    gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors, window by window for the correlation,
+    which is the one whose declared risks have the least log loss, and for the line in log-odds by which risks are then to be read. Nothing
     is tuned by hand and nothing but the lines goes in.
 
     `spacing_m` (metres between samples), `half_width_m` (bound of the start error per axis), `tolerance_m` and `samples` are those that will be flown: what is learnt
@@ -161,13 +161,12 @@ def settled(
         windows=sum(len(part.windows) for part in parts),
         loss=best.loss,
         smoothing_m=smoothing_m,
-        scale_spread=point.spread,
+        scale_spread=LEARNT_SPREAD,
         filter=for_filters,
         trials=[
             {
                 "correlation": some.correlation,
                 "share": some.share,
-                "spread": some.spread,
                 "loss": one.loss,
                 "total": one.total,
             }

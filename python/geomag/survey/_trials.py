@@ -11,7 +11,7 @@ from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
 from geomag.survey._fit import recalibrated
 from geomag.survey._folds import Fold
 from geomag.survey._lines import Array
-from geomag.survey._model import NU, REGISTRATION, SCALE_SPREAD, Law, sigma_of
+from geomag.survey._model import LEARNT_SPREAD, NU, REGISTRATION, Law, sigma_of
 from geomag.survey._steps import Steps
 from geomag.survey._survey import windows_of
 
@@ -29,13 +29,10 @@ CORRELATION_RANGE = (0.2, 20.0)
 #: already: most tracks need less.
 SHARES = (0.35, 0.5, 0.7, 1.0)
 FIRST_SHARE = 0.5
-#: Spreads of the error level from track to track that are tried.
-SPREADS = (0.17, 0.25, 0.35, 0.5)
-#: What is believed of the three before a survey is seen: centre and standard deviation of the logarithm. A survey of a
+#: What is believed of the two before a survey is seen: centre and standard deviation of the logarithm. A survey of a
 #: few hundred windows moves them.
 CORRELATION_PRIOR = (1.1, 0.55)
 SHARE_PRIOR = (0.5, 0.35)
-SPREAD_PRIOR = (SCALE_SPREAD, 0.5)
 #: Statuses whose risk is no statement on the answer: the truth may lie elsewhere altogether.
 NO_STATEMENT = ("at_edge", "lost", "rejected")
 #: Levels of error that flights are simulated with for the forecast, and the most windows that it is learnt from.
@@ -73,11 +70,10 @@ class Settings:
 
 @dataclass(frozen=True)
 class Point:
-    """An error model that is tried: place of its correlation length on the ladder, share of sigma, spread of the level."""
+    """An error model that is tried: place of its correlation length on the ladder, share of sigma."""
 
     step: int = 0
     share: float = FIRST_SHARE
-    spread: float = SCALE_SPREAD
 
     @property
     def correlation(self) -> float:
@@ -89,7 +85,6 @@ class Point:
         told = (
             (self.correlation, CORRELATION_PRIOR),
             (self.share, SHARE_PRIOR),
-            (self.spread, SPREAD_PRIOR),
         )
         return float(sum(0.5 * (np.log(value / centre) / spread) ** 2 for value, (centre, spread) in told))
 
@@ -98,11 +93,8 @@ class Point:
         if name == "step":
             there = replace(self, step=self.step + way)
             return there if CORRELATION_RANGE[0] <= there.correlation <= CORRELATION_RANGE[1] else None
-        ladder = SHARES if name == "share" else SPREADS
-        place = ladder.index(self.share if name == "share" else self.spread) + way
-        if not 0 <= place < len(ladder):
-            return None
-        return replace(self, share=ladder[place]) if name == "share" else replace(self, spread=ladder[place])
+        place = SHARES.index(self.share) + way
+        return replace(self, share=SHARES[place]) if 0 <= place < len(SHARES) else None
 
 
 @dataclass
@@ -189,7 +181,7 @@ class Trials:
                 continue
             model = grid.with_error_model(
                 nu=NU,
-                scale_spread=point.spread,
+                scale_spread=LEARNT_SPREAD,
                 correlation=point.correlation,
                 registration=REGISTRATION,
                 distance_m=distance,
@@ -215,7 +207,7 @@ class Trials:
         best = Point()
         while True:
             before = best
-            for name in ("step", "share", "spread"):
+            for name in ("step", "share"):
                 best = self._descend(best, name)
             if best == before:
                 return best, self._between(best)
@@ -261,7 +253,7 @@ class Trials:
                     continue
                 model = grid.with_error_model(
                     nu=NU,
-                    scale_spread=point.spread,
+                    scale_spread=LEARNT_SPREAD,
                     correlation=correlation,
                     registration=REGISTRATION,
                     distance_m=distance,
