@@ -376,8 +376,9 @@ def line_points(
     value: str | None,
     line: str | None,
     geographic: bool | None,
-) -> tuple[Points, NDArray[Any]]:
-    """Points of survey lines and the label of each; rows without position or value are left out."""
+    height: str | None = None,
+) -> tuple[Points, NDArray[Any], NDArray[np.float64] | None]:
+    """Points of survey lines, the label of each, and its height where asked for; rows without one of them are left out."""
     table = load_table(path)
     points = points_of(table, x, y, value, geographic=geographic)
     if points.geographic is None:
@@ -398,6 +399,12 @@ def line_points(
         texts, plain = text_or_numbers(table, one)
         labels = np.array(texts) if plain is None else plain
     keep = np.isfinite(points.x) & np.isfinite(points.y) & np.isfinite(points.values)
+    heights = None
+    if height is not None:
+        column = asked_column(table.columns, height, table.where)
+        at = f"{table.where}: column '{column.name}'"
+        heights = without_dummies(table.floats(column), at) * metres_in(column.unit, at)
+        keep &= np.isfinite(heights)
     if not keep.any():
         raise ReadError(f"{table.where}: needed a position and a value in one row at least, got none")
     points.x, points.y, points.values = points.x[keep], points.y[keep], points.values[keep]
@@ -405,4 +412,4 @@ def line_points(
         points.x = _one_turn(points.x)
     if labels.dtype.kind == "f" and np.all(labels == np.rint(labels)):
         labels = labels.astype(np.int64)
-    return points, labels[keep]
+    return points, labels[keep], None if heights is None else heights[keep]
