@@ -40,6 +40,8 @@ class GridMap:
     @staticmethod
     def from_xarray(data_array: xr.DataArray, **options: Any) -> GridMap: ...
     def to_xarray(self) -> xr.DataArray: ...
+    def continue_to(self, height_m: ArrayLike, **options: Any) -> Any: ...
+    def vertical_gradient(self, **options: Any) -> GridMap: ...
     def save(self, path: str | PathLike[str]) -> None: ...
     @staticmethod
     def open(path: str | PathLike[str]) -> GridMap: ...
@@ -66,6 +68,8 @@ class GridMap:
         crossover: float | None = None,
         registration_m_per_d: float | None = None,
         registration_length: float | None = None,
+        recalibration: tuple[float, float] | None = None,
+        forecast: tuple[float, float] | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -105,6 +109,25 @@ class GridMap:
         height_m: ArrayLike | None = None,
         ground_scale: ArrayLike | None = None,
     ) -> GridMap: ...
+
+@final
+class MapStack:
+    def __new__(cls, levels: Sequence[GridMap]) -> MapStack: ...
+    @property
+    def heights_m(self) -> _Floats: ...
+    @property
+    def levels(self) -> tuple[GridMap, ...]: ...
+    def metres_per_unit(self, y: float) -> tuple[float, float]: ...
+    @property
+    def spacing(self) -> tuple[float, float]: ...
+    @property
+    def geographic(self) -> bool: ...
+    def sample(
+        self, x: ArrayLike, y: ArrayLike, height_m: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear"
+    ) -> Any: ...
+    def at(self, height_m: float) -> GridMap: ...
+    def __len__(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
 
 @final
 class Track:
@@ -181,6 +204,8 @@ class Fix:
     @property
     def track(self) -> _Floats: ...
     @property
+    def heights_m(self) -> tuple[float, float] | None: ...
+    @property
     def surface(self) -> _Floats | None: ...
     @property
     def surface_axes(self) -> tuple[_Floats, _Floats] | None: ...
@@ -212,7 +237,7 @@ class IemaStep:
 class Iema:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         sigma: float,
         half_width: _Pair,
         tolerance: _Pair | None = None,
@@ -223,7 +248,7 @@ class Iema:
         gate: float = 3.0,
         max_candidates: int = ...,
     ) -> Iema: ...
-    def update(self, x: float, y: float, value: float) -> IemaStep: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> IemaStep: ...
     def run(self, track: Track) -> Fix: ...
     def reset(self) -> None: ...
     @property
@@ -241,7 +266,7 @@ class Iema:
     def _restore(grid: GridMap, bytes: bytes) -> Iema: ...
 
 def match_grid(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     track: Track,
     criterion: str = "msd",
     *,
@@ -1157,7 +1182,7 @@ class FieldNavigator:
 # Calibrated matching.
 
 def match_posterior(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     track: Track,
     *,
     half_width: _Pair,
@@ -1178,7 +1203,7 @@ def match_posterior(
     more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1199,7 +1224,7 @@ def match_posterior_many(
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1233,7 +1258,7 @@ class PosteriorStep:
 class PosteriorMatcher:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         *,
         half_width: _Pair,
         sigma: float | None = None,
@@ -1251,7 +1276,7 @@ class PosteriorMatcher:
         max_candidates: int = 4_000_000,
         max_samples: int = 200,
     ) -> PosteriorMatcher: ...
-    def update(self, x: float, y: float, value: float) -> PosteriorStep: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> PosteriorStep: ...
     def run(self, track: Track) -> Fix: ...
     def fix(self) -> Fix: ...
     def reset(self) -> None: ...
@@ -1289,7 +1314,8 @@ def _minimum_curvature(
     *,
     aspect: float,
     weight: float = ...,
-    sweeps: int = 400,
+    reach: float = ...,
+    sweeps: int = 120,
     progress: _Progress = None,
 ) -> _Floats: ...
 def _distance_to_data(
