@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from geomag._errors import (
     CandidateLimitError,
+    DataWarning,
     GeomagError,
     InvalidInputError,
     MissingDependencyError,
@@ -30,6 +31,7 @@ from geomag._errors import (
     ReadError,
     ShapeError,
     StateError,
+    TimeError,
     TooFewSamplesError,
     UnknownVariableError,
 )
@@ -50,6 +52,7 @@ from geomag._geomag import (
     InsModel,
     LocalFrame,
     MatcherPlan,
+    MapStack,
     NavigationStep,
     Navigator,
     NavigatorStep,
@@ -82,6 +85,7 @@ __all__ = [
     "CandidateLimitError",
     "ChosenSamples",
     "CorrectedPosition",
+    "DataWarning",
     "DeltaModulator",
     "ExtendedKalmanFilter",
     "FeedbackStep",
@@ -99,6 +103,7 @@ __all__ = [
     "InvalidInputError",
     "LocalFrame",
     "MatcherPlan",
+    "MapStack",
     "MissingDependencyError",
     "MissingFileError",
     "Navigation",
@@ -117,6 +122,7 @@ __all__ = [
     "ShapeError",
     "SlidingContour",
     "StateError",
+    "TimeError",
     "TooFewSamplesError",
     "Track",
     "UnknownVariableError",

@@ -10,9 +10,10 @@ use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::arrays::{broadcast, in_place, is_single, matrix, shaped, vector};
+use crate::arrays::{array, broadcast, in_place, is_single, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
+use crate::stack::PyMapStack;
 
 /// Reads the name of an interpolation.
 pub fn interpolation(name: &str) -> PyRes<Interpolation> {
@@ -44,6 +45,9 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 ///     datum (ellipsoid, geoid, mean sea level) is the map's own; the heights of tracks are counted from the same.
 /// name, units, crs : str, optional
 ///     Carried along.
+/// ground_scale : float, array of shape (len(y),) or (len(y), 2), optional
+///     Metres on the ground per map unit (east, north), one or one a row, for projections that stretch (Mercator); one by default.
+///     `read_grid` gives it where the file says the projection.
 ///
 /// Raises
 /// ------
@@ -75,6 +79,11 @@ impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
         Self { inner: Arc::new(inner), name, units, crs }
+    }
+
+    /// Another map with this one's name, units and reference system.
+    pub fn named_alike(&self, inner: GridMap) -> Self {
+        Self::from_core(inner, self.name.clone(), self.units.clone(), self.crs.clone())
     }
 }
 
@@ -111,6 +120,31 @@ fn axis_array<'py>(py: Python<'py>, axis: &Axis) -> PyRes<Bound<'py, PyAny>> {
 }
 
 impl PyGridMap {
+    /// With a ground scale: one number, one a row, or a pair a row; `falling` where rows come from north to south.
+    fn scaled(&self, scale: &Bound<'_, PyAny>, falling: bool) -> PyRes<Self> {
+        let rows = self.shape().0;
+        let pairs = array("ground_scale", scale)?;
+        let values: Vec<f64> = pairs.as_array().iter().copied().collect();
+        let mut pairs: Vec<[f64; 2]> = match *pairs.shape() {
+            [] => vec![[values[0]; 2]; rows],
+            [n] if n == rows => values.iter().map(|v| [*v; 2]).collect(),
+            [n, 2] if n == rows => values.as_chunks::<2>().0.to_vec(),
+            ref other => {
+                let needed = format!("one number, ({rows},) or ({rows}, 2) as the rows");
+                return Err(Error::shape("ground_scale", needed, format!("{other:?}")).into());
+            }
+        };
+        if falling {
+            pairs.reverse();
+        }
+        Ok(Self {
+            inner: Arc::new((*self.inner).clone().with_ground_scale(Some(pairs))?),
+            name: self.name.clone(),
+            units: self.units.clone(),
+            crs: self.crs.clone(),
+        })
+    }
+
     fn with_model(&self, model: Option<MapErrorModel>) -> Result<Self, Error> {
         Ok(Self {
             inner: Arc::new((*self.inner).clone().with_error_model(model)?),
@@ -124,7 +158,8 @@ impl PyGridMap {
 #[pymethods]
 impl PyGridMap {
     #[new]
-    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, height_m = None, name = None, units = None, crs = None))]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, height_m = None, name = None, units = None, crs = None,
+        ground_scale = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -136,6 +171,7 @@ impl PyGridMap {
         name: Option<String>,
         units: Option<String>,
         crs: Option<String>,
+        ground_scale: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let (grid_values, rows, columns) = grid_values(values)?;
         let (xs, ys) = (vector("x", x)?, vector("y", y)?);
@@ -178,7 +214,11 @@ impl PyGridMap {
             };
             inner = inner.with_height(Some(layer))?;
         }
-        Ok(Self { inner: Arc::new(inner), name, units, crs })
+        let map = Self { inner: Arc::new(inner), name, units, crs };
+        match ground_scale {
+            None => Ok(map),
+            Some(scale) => map.scaled(scale, ys[0] > ys[ys.len() - 1]),
+        }
     }
 
     /// Make a map of a two-dimensional xarray.DataArray; see `geomag.io.grid_from_xarray` for the options.
@@ -195,6 +235,39 @@ impl PyGridMap {
     /// The map as an xarray.DataArray.
     fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyRes<Bound<'py, PyAny>> {
         Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
+    }
+
+    /// The map at another height, or a `MapStack` of it at several: see `geomag.continuation.continue_to` for the options.
+    #[pyo3(signature = (height_m, **options))]
+    fn continue_to<'py>(
+        slf: &Bound<'py, Self>,
+        height_m: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("continue_to")?.call((slf, height_m), options)?)
+    }
+
+    /// The change of the field with height, value units per metre, upward positive: see `geomag.continuation.vertical_gradient`.
+    #[pyo3(signature = (**options))]
+    fn vertical_gradient<'py>(
+        slf: &Bound<'py, Self>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("vertical_gradient")?.call((slf,), options)?)
+    }
+
+    /// Write the map to a netCDF file (CF conventions) with all that it knows; `GridMap.open` gives it back to the last bit.
+    fn save(slf: &Bound<'_, Self>, path: &Bound<'_, PyAny>) -> PyRes<()> {
+        slf.py().import("geomag.io")?.getattr("save_grid")?.call1((slf, path))?;
+        Ok(())
+    }
+
+    /// The map that `save` wrote. Raises `ReadError` for any other file, which `geomag.read_grid` may read.
+    #[staticmethod]
+    fn open<'py>(path: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+        Ok(path.py().import("geomag.io")?.getattr("open_grid")?.call1((path,))?)
     }
 
     /// x of the columns (east), ascending, map units.
@@ -341,6 +414,18 @@ impl PyGridMap {
         self.inner.geographic()
     }
 
+    /// Metres on the ground per map unit (east, north) of every row, y ascending, shape (len(y), 2); None where a metre of the
+    /// map is one on the ground.
+    #[getter]
+    fn ground_scale<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.inner.ground_scale().map(|rows| shaped(py, rows.concat(), &[rows.len(), 2])).transpose()
+    }
+
+    /// The same map with the scale of its projection: see `geomag.projection.true_scale`.
+    fn with_ground_scale(&self, ground_scale: &Bound<'_, PyAny>) -> PyRes<Self> {
+        self.scaled(ground_scale, false)
+    }
+
     /// Number of NaN nodes.
     #[getter]
     fn holes(&self) -> usize {
@@ -374,7 +459,7 @@ impl PyGridMap {
     /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
     ///
     /// Raises `InvalidInputError` for a latitude beyond a pole.
-    fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
+    pub fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
         if self.inner.geographic() && y.abs() > 90.0 {
             return Err(invalid("y of a geographic map", "a latitude in [-90, 90] degrees", y));
         }
@@ -445,14 +530,22 @@ impl PyGridMap {
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
         let model = this.error_model(py)?;
-        let arguments =
-            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model, this.height_m(py)?)
-                .into_pyobject(py)?;
+        let arguments = (
+            this.values(py)?,
+            axes,
+            this.inner.geographic(),
+            this.sigma(py)?,
+            text,
+            model,
+            this.height_m(py)?,
+            this.ground_scale(py)?,
+        )
+            .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
-    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None))]
+    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None, ground_scale = None))]
     #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
@@ -462,6 +555,7 @@ impl PyGridMap {
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
         height_m: Option<&Bound<'_, PyAny>>,
+        ground_scale: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -482,7 +576,10 @@ impl PyGridMap {
             }),
         };
         let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_height(height)?;
-        let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        let mut map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        if let Some(scale) = ground_scale {
+            map = map.scaled(scale, false)?;
+        }
         let Some(model) = model else { return Ok(map) };
         let number = |key: &str| -> PyRes<f64> {
             match model.get_item(key)? {
@@ -539,5 +636,8 @@ pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
     if let Ok(map) = object.cast::<PyHarmonicMap>() {
         return Ok(map.get().inner.clone());
     }
-    Err(invalid("grid", "a geomag.GridMap or HarmonicMap", object.get_type().name()?))
+    if let Ok(stack) = object.cast::<PyMapStack>() {
+        return Ok(stack.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap, MapStack or HarmonicMap", object.get_type().name()?))
 }

@@ -175,9 +175,13 @@ impl PyIema {
         Ok(Self { inner: Mutex::new(Iema::new(field(grid)?, options)?), grid: grid.clone().unbind() })
     }
 
-    /// Take one sample: indicated position (map units) and measured value. Returns an `IemaStep`.
-    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyIemaStep> {
-        let take = |mut iema: MutexGuard<'_, Iema>| iema.update(x, y, value).map(|step| (step, iema.field().clone()));
+    /// Take one sample: indicated position (map units), measured value, and height where the map is a `MapStack`. Returns an
+    /// `IemaStep`.
+    #[pyo3(signature = (x, y, value, height_m = None))]
+    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyIemaStep> {
+        let take = |mut iema: MutexGuard<'_, Iema>| {
+            iema.update_at(x, y, value, height_m).map(|step| (step, iema.field().clone()))
+        };
         let iema = self.lock(py);
         let (inner, field) = if iema.n_feasible() > MANY {
             drop(iema);
@@ -190,7 +194,7 @@ impl PyIema {
 
     /// Run over a whole track from a fresh start; stops at the first fix, or when lost. Returns a `Fix`.
     fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<PyFix> {
-        let track = track.inner.clone();
+        let track = track.on(py, self.grid.bind(py))?;
         // At worst every candidate stays.
         let units = (self.lock(py).lattice().len() as u64).saturating_mul(track.len() as u64);
         let fix = long_call::run(py, units, None, None, |monitor| {

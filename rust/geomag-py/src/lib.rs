@@ -18,6 +18,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 mod arrays;
 mod campaign;
+mod compensation;
 mod contour;
 mod error;
 mod fix;
@@ -32,10 +33,12 @@ mod ins_feedback;
 mod kalman;
 mod lock;
 mod long_call;
+mod main_field;
 mod map_navigator;
 mod navigator;
 mod posterior;
 mod sequence;
+mod stack;
 mod synthetic;
 mod track;
 
@@ -43,6 +46,8 @@ mod track;
 mod _geomag {
     #[pymodule_export]
     use crate::campaign::{campaign_flight, campaign_rows};
+    #[pymodule_export]
+    use crate::compensation::{PyCompensator, tolles_lawson_terms};
     #[pymodule_export]
     use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
     #[pymodule_export]
@@ -66,6 +71,8 @@ mod _geomag {
     #[pymodule_export]
     use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
     #[pymodule_export]
+    use crate::main_field::PyMainFieldModel;
+    #[pymodule_export]
     use crate::map_navigator::{
         PyInsModel, PyMatcherPlan, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,
     };
@@ -79,6 +86,8 @@ mod _geomag {
     use crate::sequence::{
         PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
     };
+    #[pymodule_export]
+    use crate::stack::PyMapStack;
     #[pymodule_export]
     use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]

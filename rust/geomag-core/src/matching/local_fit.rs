@@ -3,7 +3,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::lattice::{OffsetLattice, Pivot, centroid};
 use crate::matching::grid_search::GridSearch;
 use crate::matching::similarity::Criterion;
@@ -48,11 +47,14 @@ impl LocalFit {
             if weight == 0.0 {
                 continue;
             }
-            let (m, [east, north]) = field.value_and_gradient(p[0], p[1]);
+            let (m, [east, north]) = match track.height_m() {
+                Some(heights) => field.value_and_gradient_at(p[0], p[1], heights[k]),
+                None => field.value_and_gradient(p[0], p[1]),
+            };
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
             }
-            let [e, n] = displacement_m(field.geographic(), pivot, *p);
+            let [e, n] = field.displacement_m(pivot, *p);
             let mut row = vec![east, north];
             if turning {
                 row.push(east * n - north * e);
