@@ -174,6 +174,7 @@ impl Log {
             heading_deg: Some(&self.heading),
             height_m: None,
             readings: Some(&self.readings),
+            terms: None,
         }
     }
 
@@ -551,4 +552,29 @@ fn the_covariance_stays_positive_over_a_million_steps() {
     let n = STATES;
     let scaled = nalgebra::DMatrix::from_fn(n, n, |i, j| filter.at(i, j) / (filter.at(i, i) * filter.at(j, j)).sqrt());
     assert!(scaled.cholesky().is_some());
+}
+
+#[test]
+fn the_vehicles_own_field_is_learnt_in_flight() {
+    // Two terms that turn with the heading, some 40 nT each: known not at all, and known rightly.
+    let map = Arc::new(map(30));
+    let mut log = fly(&map, 3600, 100.0, &mut Random::new(31));
+    let coefficients = [40.0, -25.0];
+    let terms: Vec<f64> = log.heading.iter().flat_map(|h| [h.to_radians().cos(), h.to_radians().sin()]).collect();
+    for (reading, term) in log.readings.iter_mut().zip(terms.chunks(2)) {
+        *reading += coefficients[0] * term[0] + coefficients[1] * term[1];
+    }
+    let options = NavigatorOptions { terms_covariance: vec![2500.0, 0.0, 0.0, 2500.0], ..NavigatorOptions::new(100.0) };
+    let input = FlightInput { terms: Some(&terms), ..log.input() };
+    let flight = navigate(map.clone(), &input, options.clone(), Smoothing::No, &Quiet).unwrap();
+    for (found, wanted) in flight.state[STATES..].iter().zip(coefficients) {
+        assert!((found - wanted).abs() < 8.0, "{:?}", &flight.state[STATES..]);
+    }
+    let last = flight.steps.len() - 1;
+    let error = log.error_m(&flight.steps[last], last);
+    assert!(error[0].hypot(error[1]) < flight.steps[last].protection_level_m);
+    // Terms must be as many as there are coefficients.
+    assert!(navigate(map.clone(), &log.input(), options.clone(), Smoothing::No, &Quiet).is_err());
+    let singular = NavigatorOptions { terms_covariance: vec![1.0, 1.0, 1.0, 1.0], ..options };
+    assert!(Navigator::new(map, singular).is_err());
 }
