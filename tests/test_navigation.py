@@ -218,3 +218,36 @@ def test_threads_share_a_navigator_and_none_waits_for_ever(grid):
     assert not failures
     assert not any(one.is_alive() for one in threads)
     assert navigator.steps == 200
+
+
+def test_the_vehicles_own_field_is_learnt_in_flight(grid):
+    given, truth = log(grid)
+    heading = np.radians(given["heading_deg"])
+    terms = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    given["readings"] = given["readings"] + terms @ [40.0, -25.0]
+    plain = geomag.navigate(grid, **given).summary(truth)
+    flight = geomag.navigate(grid, **given, terms=terms, terms_covariance=2500.0 * np.eye(2))
+    learnt = flight.summary(truth)
+    assert learnt["drms_m"] < 40
+    assert learnt["drms_m"] < plain["drms_m"]
+    assert flight.state.shape == (17,)
+    # Its two legs tell the one from the other, but the sine from the bias only as their difference.
+    assert abs(flight.state[-1] + 25) < 10
+    with pytest.raises(geomag.ShapeError, match="terms"):
+        geomag.navigate(grid, **given, terms=terms)
+    with pytest.raises(geomag.NotPositiveDefiniteError, match="terms_covariance"):
+        geomag.navigate(grid, **given, terms=terms, terms_covariance=np.ones((2, 2)))
+
+
+def test_the_particles_of_the_textbook_follow_a_right_map(grid):
+    given, truth = log(grid)
+    few = {name: values[:200] for name, values in given.items()}
+    where = truth[0][:200], truth[1][:200]
+    flight = geomag.navigate(grid, **few, method="rbpf")
+    again = geomag.navigate(grid, **few, method="rbpf")
+    np.testing.assert_array_equal(flight.x, again.x)
+    assert flight.summary(where, after_s=200)["drms_m"] < 60
+    with pytest.raises(geomag.InvalidInputError, match="whole flights"):
+        geomag.Navigator(grid, method="rbpf")
+    with pytest.raises(geomag.InvalidInputError, match="smooth"):
+        geomag.navigate(grid, **few, method="rbpf", smooth="flight")

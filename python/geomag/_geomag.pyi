@@ -636,7 +636,8 @@ class _NavigatorOptions(TypedDict, total=False):
     linear_m: float | None
     integrity_risk: float
     matcher: MatcherPlan | None
-    method: Literal["navigator", "ekf"]
+    terms_covariance: ArrayLike
+    method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float
 
 @final
@@ -687,6 +688,7 @@ class Navigator:
         value: float | None = None,
         *,
         height_m: float | None = None,
+        terms: ArrayLike | None = None,
     ) -> NavigationStep: ...
     def correct(self, fix: Fix) -> tuple[float, bool]: ...
     def correct_position(self, offset_m: _Pair, covariance_m2: ArrayLike) -> tuple[float, bool]: ...
@@ -724,6 +726,7 @@ def _navigate(
     heading_deg: ArrayLike | None = None,
     readings: ArrayLike | None = None,
     height_m: ArrayLike | None = None,
+    terms: ArrayLike | None = None,
     lag_s: float | None = None,
     progress: _Progress = None,
     **options: Unpack[_NavigatorOptions],

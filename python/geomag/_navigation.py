@@ -59,6 +59,8 @@ class Navigation:
         `full`, `velocity` (the heading is the course) or `positions` (a reduced model).
     geographic : bool
         Whether places are degrees of longitude and latitude.
+    state : array (m,)
+        The estimated errors at the end: see `Navigator.state`; with `method="rbpf"` without the displacement of the map.
     smooth_x, smooth_y, smooth_covariance_m2 : arrays (n,), (n,), (n, 2, 2), or None
         Places and covariances with what came after each step, where `smooth` asked for them.
     """
@@ -82,6 +84,7 @@ class Navigation:
     resets: NDArray[np.int64]
     inputs: str
     geographic: bool
+    state: NDArray[np.float64]
     smooth_x: NDArray[np.float64] | None = None
     smooth_y: NDArray[np.float64] | None = None
     smooth_covariance_m2: NDArray[np.float64] | None = None
@@ -111,7 +114,7 @@ class Navigation:
                 columns["velocity_error_east_m_s"], columns["velocity_error_north_m_s"] = value.T
             elif one.name == "tilt_error_mrad":
                 columns["tilt_error_east_mrad"], columns["tilt_error_north_mrad"] = value.T
-            elif isinstance(value, np.ndarray) and value.ndim == 1:
+            elif isinstance(value, np.ndarray) and value.ndim == 1 and one.name != "state":
                 columns[one.name] = value
         return pandas.DataFrame(columns)
 
@@ -193,6 +196,7 @@ def navigate(
     ins: InsModel | None = None,
     position_sigma_m: float | None = None,
     height_m: ArrayLike | None = None,
+    terms: ArrayLike | None = None,
     smooth: float | Literal["flight"] | None = None,
     progress: Progress = None,
     **options: Unpack[_NavigatorOptions],
@@ -222,6 +226,9 @@ def navigate(
         Standard deviation of the first indicated place on each axis; 100 m if not given.
     height_m : float or array (n,), optional
         Metres above the map's height datum, for maps that are known at several heights.
+    terms : array (n, m), optional
+        What the coefficients of the vehicle's own field are multiplied by, a row a step (`geomag.compensation`); with `terms_covariance` (m, m) they are states
+        of the filter.
     smooth : float or "flight", optional
         Also answer each step with what came after it: until so many seconds later, or the rest of the flight. The causal output stays as it is.
     progress : bool or callable, optional
@@ -269,6 +276,7 @@ def navigate(
         ins=ins,
         position_sigma_m=position_sigma_m,
         height_m=height_m,
+        terms=terms,
         lag_s=np.inf if smooth == "flight" else smooth,
         progress=progress,
         **options,

@@ -363,6 +363,7 @@ fn options(given: Option<&Bound<'_, PyDict>>) -> PyRes<NavigatorOptions> {
             "linear_m" => out.linear_m = Some(number()?),
             "integrity_risk" => out.integrity_risk = number()?,
             "latitude_deg" => out.latitude_deg = number()?,
+            "terms_covariance" => out.terms_covariance = matrix("terms_covariance", &value)?.0,
             "matcher" => {
                 let plan = value.cast::<PyMatcherPlan>();
                 let plan = plan.map_err(|_| invalid("matcher", "a geomag.MatcherPlan or None", value.get_type()))?;
@@ -372,7 +373,8 @@ fn options(given: Option<&Bound<'_, PyDict>>) -> PyRes<NavigatorOptions> {
                 out.method = match value.extract::<String>().as_deref() {
                     Ok("navigator") => Method::Navigator,
                     Ok("ekf") => Method::Ekf,
-                    _ => return Err(invalid("method", "'navigator' or 'ekf'", value.repr()?)),
+                    Ok("rbpf") => Method::Rbpf,
+                    _ => return Err(invalid("method", "'navigator', 'ekf' or 'rbpf'", value.repr()?)),
                 };
             }
             _ => {
@@ -538,10 +540,13 @@ impl PyNavigationStep {
 ///     Position sigma up to which the field is straight enough to track, metres; from the map if not given.
 /// integrity_risk : float
 ///     Probability with which the error may exceed the protection level.
+/// terms_covariance : (m, m)
+///     Covariance of the coefficients of terms that the readings contain besides the field (the vehicle's own: Tolles-Lawson), which are then
+///     states of the filter; `terms` of a step are what they are multiplied by.
 /// matcher : MatcherPlan or None
 ///     The matcher beside the filter, for a start known to kilometres, for a lost lock and a look round now and then; None for none.
 /// method : str
-///     `navigator`, or `ekf` for the extended Kalman filter of the textbooks, to compare with.
+///     `navigator`; to compare with, the textbooks' `ekf` (extended Kalman filter) and, for whole flights only, `rbpf` (Rao-Blackwellised particles).
 /// latitude_deg : float
 ///     Latitude of a map in projected metres.
 ///
@@ -581,6 +586,9 @@ impl PyNavigator {
     #[pyo3(signature = (grid, **options))]
     fn new(grid: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyRes<Self> {
         let options = self::options(options)?;
+        if options.method == Method::Rbpf {
+            return Err(invalid("method", "'navigator' or 'ekf' ('rbpf' is for whole flights: navigate)", "'rbpf'"));
+        }
         let field = field(grid)?;
         let inner = Mutex::new(Navigator::new(field.clone(), options)?);
         Ok(Self { field, map: grid.clone().unbind(), inner })
@@ -589,8 +597,8 @@ impl PyNavigator {
     /// Go on to what the INS indicates now, and take in a reading where there is one.
     ///
     /// `x`, `y` in map units, `velocity_m_s` (east, north), `heading_deg` clockwise from north, `value` in the map's unit (None or NaN: no reading).
-    /// A velocity of None is the difference of positions, a heading of None the course. Returns a `NavigationStep`.
-    #[pyo3(signature = (time_s, x, y, velocity_m_s = None, heading_deg = None, value = None, *, height_m = None))]
+    /// A velocity of None is the difference of positions, a heading of None the course. `terms` (m,) go with `terms_covariance`. Returns a `NavigationStep`.
+    #[pyo3(signature = (time_s, x, y, velocity_m_s = None, heading_deg = None, value = None, *, height_m = None, terms = None))]
     #[allow(clippy::too_many_arguments)] // one each
     fn step(
         &self,
@@ -602,11 +610,13 @@ impl PyNavigator {
         heading_deg: Option<f64>,
         value: Option<f64>,
         height_m: Option<f64>,
+        terms: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<PyNavigationStep> {
         let velocity_m_s = velocity_m_s.map(|v| pair("velocity_m_s", v)).transpose()?;
         let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value };
         // A step may hold a match, which takes a while.
-        let inner = py.detach(|| detached(&self.inner).step(&indicated))?;
+        let terms = optional_vector("terms", terms)?.unwrap_or_default();
+        let inner = py.detach(|| detached(&self.inner).step_with_terms(&indicated, &terms))?;
         Ok(PyNavigationStep { inner })
     }
 
@@ -745,6 +755,7 @@ struct Log {
     heading_deg: Option<Vec<f64>>,
     height_m: Option<Vec<f64>>,
     readings: Option<Vec<f64>>,
+    terms: Option<Vec<f64>>,
 }
 
 impl Log {
@@ -769,6 +780,7 @@ impl Log {
             heading_deg: optional_vector("heading_deg", heading_deg)?,
             height_m,
             readings: optional_vector("readings", readings)?,
+            terms: None,
             time_s,
         })
     }
@@ -782,6 +794,7 @@ impl Log {
             heading_deg: self.heading_deg.as_deref(),
             height_m: self.height_m.as_deref(),
             readings: self.readings.as_deref(),
+            terms: self.terms.as_deref(),
         }
     }
 }
@@ -822,6 +835,7 @@ fn columns<'py>(py: Python<'py>, flight: &Flight) -> PyRes<Bound<'py, PyDict>> {
     out.set_item("reason", words(&|s| s.reason.as_str()))?;
     out.set_item("outcome", words(&|s| s.outcome.as_str()))?;
     out.set_item("inputs", flight.inputs.as_str())?;
+    out.set_item("state", shaped(py, flight.state.clone(), &[flight.state.len()])?)?;
     if let Some(smoothed) = &flight.smoothed {
         out.set_item("smooth_x", shaped(py, smoothed.iter().map(|s| s.x).collect(), &[n])?)?;
         out.set_item("smooth_y", shaped(py, smoothed.iter().map(|s| s.y).collect(), &[n])?)?;
@@ -834,7 +848,8 @@ fn columns<'py>(py: Python<'py>, flight: &Flight) -> PyRes<Bound<'py, PyDict>> {
 /// Columns of a whole flight; see `geomag.navigate`.
 #[pyfunction]
 #[pyo3(name = "_navigate", signature = (grid, time_s, x, y, *, velocity_m_s = None, heading_deg = None, readings = None,
-                                        height_m = None, lag_s = None, progress = None, **options))]
+                                        height_m = None, terms = None, lag_s = None, progress = None,
+                                        **options))]
 #[allow(clippy::too_many_arguments)] // one each
 pub fn py_navigate<'py>(
     py: Python<'py>,
@@ -846,6 +861,7 @@ pub fn py_navigate<'py>(
     heading_deg: Option<&Bound<'py, PyAny>>,
     readings: Option<&Bound<'py, PyAny>>,
     height_m: Option<&Bound<'py, PyAny>>,
+    terms: Option<&Bound<'py, PyAny>>,
     lag_s: Option<f64>,
     progress: Option<&Bound<'py, PyAny>>,
     options: Option<&Bound<'py, PyDict>>,
@@ -853,7 +869,8 @@ pub fn py_navigate<'py>(
     let options = self::options(options)?;
     let field = field(grid)?;
     let geographic = field.geographic();
-    let log = Log::new(time_s, x, y, velocity_m_s, heading_deg, height_m, readings)?;
+    let mut log = Log::new(time_s, x, y, velocity_m_s, heading_deg, height_m, readings)?;
+    log.terms = terms.map(|t| matrix("terms", t).map(|t| t.0)).transpose()?;
     let smoothing = match lag_s {
         None => Smoothing::No,
         Some(f64::INFINITY) => Smoothing::Flight,

@@ -19,7 +19,7 @@ const SPIKE_SIGMA: f64 = 0.6;
 const MAD_TO_SIGMA: f64 = 1.4826;
 
 /// One reading where it was indicated.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Reading {
     pub value: f64,
     pub time_s: f64,
@@ -30,12 +30,14 @@ pub(super) struct Reading {
     pub height_m: Option<f64>,
     /// Standard deviation of the map's error there.
     pub sigma: f64,
+    /// What the coefficients of the vehicle's own field are multiplied by; empty without any.
+    pub terms: Vec<f64>,
 }
 
 /// Readings waiting to be used.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Batch {
-    readings: Vec<Reading>,
+    pub readings: Vec<Reading>,
     /// Indicated way since the first of them, metres.
     pub gathered_m: f64,
     /// Way over which to gather, metres.
@@ -45,10 +47,10 @@ pub(super) struct Batch {
     seen: u32,
 }
 
-/// The readings of a batch that are used, with their weights.
+/// The readings of a batch that are used, by their place in it, with their weights.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Chosen {
-    pub readings: Vec<(Reading, f64)>,
+    pub readings: Vec<(usize, f64)>,
     residuals: Vec<f64>,
     absolute: Vec<f64>,
     sorted: Vec<f64>,
@@ -68,7 +70,8 @@ impl Batch {
         self.readings.clear();
     }
 
-    pub fn is_whole(&self) -> bool {
+    /// Whether saved numbers make a batch of readings with so many terms.
+    pub fn is_whole(&self, terms: usize) -> bool {
         self.readings.len() <= MOST
             && self.gathered_m.is_finite()
             && self.length_m.is_finite()
@@ -78,6 +81,8 @@ impl Batch {
                     && r.sigma.is_finite()
                     && r.sigma >= 0.0
                     && r.height_m.is_none_or(f64::is_finite)
+                    && r.terms.len() == terms
+                    && r.terms.iter().all(|t| t.is_finite())
             })
     }
 
@@ -112,10 +117,10 @@ impl Batch {
     pub fn choose(&self, now_s: f64, law: &MapLaw, noise: f64, expected: impl Fn(&Reading) -> f64, out: &mut Chosen) {
         out.readings.clear();
         out.residuals.clear();
-        for reading in &self.readings {
+        for (place, reading) in self.readings.iter().enumerate() {
             let residual = reading.value - expected(reading);
             if !residual.is_nan() {
-                out.readings.push((*reading, 0.0));
+                out.readings.push((place, 0.0));
                 out.residuals.push(residual);
             }
         }
@@ -128,18 +133,19 @@ impl Batch {
         let deviation = median(&out.absolute, &mut out.sorted);
         let mut k = 0;
         let residuals = &out.residuals;
-        out.readings.retain(|(reading, _)| {
-            let usual = SPIKE_SIGMA * reading.sigma.hypot(noise);
+        out.readings.retain(|(place, _)| {
+            let usual = SPIKE_SIGMA * self.readings[*place].sigma.hypot(noise);
             let kept = residuals[k].abs() <= SPIKE * deviation.max(usual);
             k += 1;
             kept
         });
         let least = law.crossover().powi(2) + noise * noise;
         let weigh = |r: &Reading| 1.0 / (r.sigma * r.sigma + least).max(f64::MIN_POSITIVE);
-        let total: f64 = out.readings.iter().map(|(r, _)| weigh(r)).sum();
+        let total: f64 = out.readings.iter().map(|(place, _)| weigh(&self.readings[*place])).sum();
         (out.value, out.age_s) = (0.0, 0.0);
         let mut square = 0.0;
-        for (reading, weight) in &mut out.readings {
+        for (place, weight) in &mut out.readings {
+            let reading = &self.readings[*place];
             *weight = weigh(reading) / total;
             out.value += *weight * reading.value;
             out.age_s += *weight * (now_s - reading.time_s);

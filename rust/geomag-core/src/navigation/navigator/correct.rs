@@ -90,7 +90,7 @@ impl Navigator {
         self.newest()?;
         let Some(newest) = self.state.newest else { return Ok(()) };
         let place = [self.field.wrap_x(place[0]), place[1]];
-        let error = crate::frame::displacement_m(self.field.geographic(), place, [newest.x, newest.y]);
+        let error = self.field.displacement_m(place, [newest.x, newest.y]);
         self.start_again(error, covariance_m2);
         self.judge_again();
         Ok(())
@@ -109,6 +109,8 @@ impl Navigator {
         ahead.state.batch.clear();
         ahead.state.options.nu = f64::INFINITY;
         ahead.state.options.start = None;
+        // What the vehicle will add on the way is not known: its coefficients stay as uncertain as they are.
+        let terms = vec![0.0; ahead.state.options.terms()];
         ahead.state.options.matcher = None;
         ahead.state.running = RunningNis::new();
         if let (Some(newest), Some(first)) = (&mut ahead.state.newest, path.first()) {
@@ -121,7 +123,7 @@ impl Navigator {
         for indicated in path {
             // What is read is what the map says: the mean stays where it is.
             let value = indicated.value.map(|_| ahead.expected(indicated));
-            ahead.step(&Indicated { value, ..*indicated })?;
+            ahead.step_with_terms(&Indicated { value, ..*indicated }, &terms)?;
             ahead.state.filter.mean_mut().fill(0.0);
             out.push(ahead.own_m2());
         }

@@ -10,7 +10,7 @@ fn padded(states: usize) -> usize {
 }
 
 /// Mean and covariance of the errors; the covariance is symmetric, updated in Joseph's form.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Filter {
     states: usize,
     /// Padded with zeros, as the rows of the covariance are.

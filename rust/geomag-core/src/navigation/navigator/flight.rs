@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use super::Navigator;
-use super::options::NavigatorOptions;
+use super::options::{Method, NavigatorOptions};
 use super::outcome::{Indicated, Inputs, NavigatorStep};
+use super::particles::Particles;
 use super::smooth::Record;
 use crate::error::{Error, Result, require_not_negative};
 use crate::field::Field;
@@ -30,6 +31,8 @@ pub struct FlightInput<'a> {
     pub height_m: Option<&'a [f64]>,
     /// Measured values, NaN where there is none.
     pub readings: Option<&'a [f64]>,
+    /// What the coefficients of the vehicle's own field are multiplied by, row by row: as many a step as the options have a covariance for.
+    pub terms: Option<&'a [f64]>,
 }
 
 impl FlightInput<'_> {
@@ -89,6 +92,8 @@ pub struct Flight {
     pub steps: Vec<NavigatorStep>,
     /// Which INS output there was.
     pub inputs: Inputs,
+    /// The estimated errors at the end: see [`Navigator::mean`].
+    pub state: Vec<f64>,
     /// Every step with what came after it, where that was asked for.
     pub smoothed: Option<Vec<SmoothedPlace>>,
 }
@@ -131,14 +136,35 @@ pub fn navigate(
     if let Smoothing::Lag(lag) = smoothing {
         require_not_negative("lag_s", lag)?;
     }
+    let mut steps = Vec::with_capacity(input.len());
+    let terms = options.terms();
+    let given = input.terms.unwrap_or(&[]);
+    if given.len() != terms * input.len() {
+        let needed = format!("({}, {terms}) as time_s and terms_covariance", input.len());
+        return Err(Error::shape("terms", needed, format!("{} numbers", given.len())));
+    }
+    if options.method == Method::Rbpf {
+        if smoothing != Smoothing::No {
+            return Err(Error::invalid("smooth", "None with method 'rbpf'", "a lag"));
+        }
+        let mut particles = Particles::new(field, options)?;
+        for k in 0..input.len() {
+            if k % REPORT == 0 {
+                monitor.advance(k as u64, input.len() as u64)?;
+            }
+            steps.push(particles.step(&input.at(k)).map_err(|e| at_step(e, k))?);
+        }
+        return Ok(Flight { steps, inputs: particles.inputs(), state: particles.mean(), smoothed: None });
+    }
     let mut navigator = Navigator::new(field, options)?;
     navigator.record = (smoothing != Smoothing::No).then(Record::default);
-    let mut steps = Vec::with_capacity(input.len());
     for k in 0..input.len() {
         if k % REPORT == 0 {
             monitor.advance(k as u64, input.len() as u64)?;
         }
-        steps.push(navigator.step(&input.at(k)).map_err(|e| at_step(e, k))?);
+        steps.push(
+            navigator.step_with_terms(&input.at(k), &given[k * terms..(k + 1) * terms]).map_err(|e| at_step(e, k))?,
+        );
     }
     let smoothed = navigator.record.as_ref().map(|record| {
         let horizon = |k: usize| match smoothing {
@@ -153,7 +179,8 @@ pub fn navigate(
         });
         places.collect()
     });
-    Ok(Flight { steps, inputs: navigator.inputs(), smoothed })
+    let state = navigator.mean().to_vec();
+    Ok(Flight { steps, inputs: navigator.inputs(), state, smoothed })
 }
 
 /// Names the step in an error.

@@ -52,7 +52,7 @@ impl MapLaw {
         let model = grid.and_then(GridMap::error_model);
         let looked = Looked::at(field);
         let bare = grid.is_some_and(|g| g.map_sigma().is_none() && g.error_model().is_none());
-        let textbook = options.method == Method::Ekf;
+        let textbook = options.method != Method::Navigator;
         let exact = textbook || (!bare && model.is_none() && looked.sigma == 0.0);
         let usual_distance_m = match model.map(|m| &m.distance_m) {
             Some(DistanceLayer::Constant(d)) => *d,

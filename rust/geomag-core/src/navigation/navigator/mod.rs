@@ -14,6 +14,7 @@
 //! surveys is geomag's own.
 
 mod batch;
+mod carry;
 mod correct;
 mod doubt;
 mod filter;
@@ -22,9 +23,11 @@ mod ins;
 mod integrity;
 mod law;
 mod linear;
+mod measure;
 mod motion;
 mod options;
 mod outcome;
+mod particles;
 mod smooth;
 mod step;
 #[cfg(test)]
@@ -59,7 +62,7 @@ use watch::Watch;
 const BIAS: usize = INS_STATES;
 /// Displacement of the map's features, east; north is the next.
 const REGISTRATION: usize = INS_STATES + 1;
-/// All states.
+/// States without the coefficients of the vehicle's own field, which are the last.
 const STATES: usize = INS_STATES + 3;
 
 /// What was indicated at the newest step.
@@ -141,6 +144,8 @@ pub struct Navigator {
     widening: f64,
     scratch: Scratch,
     chosen: Chosen,
+    /// Slopes of the newest measurement, by state.
+    slopes: Vec<(usize, f64)>,
     /// Slopes are those of the field at the mean itself.
     exact_slopes: bool,
     /// What the filter did, where it is to be smoothed.
@@ -155,10 +160,11 @@ impl Navigator {
     /// As [`NavigatorOptions::validate`].
     pub fn new(field: Arc<dyn Field>, mut options: NavigatorOptions) -> Result<Self> {
         options.validate()?;
-        if options.method == Method::Ekf {
+        if options.method != Method::Navigator {
             (options.nu, options.matcher) = (f64::INFINITY, None);
         }
-        let mut variances = [0.0; STATES];
+        let terms = options.terms();
+        let mut variances = vec![0.0; STATES + terms];
         for axis in 0..2 {
             variances[POSITION + axis] = options.covariance_m2[axis][axis];
             variances[VELOCITY + axis] = options.ins.velocity_sigma_m_s.powi(2);
@@ -172,6 +178,11 @@ impl Navigator {
         variances[BIAS] = options.bias_sigma.powi(2);
         let mut filter = Filter::new(&variances);
         filter.set(POSITION, POSITION + 1, options.covariance_m2[0][1]);
+        for i in 0..terms {
+            for j in 0..=i {
+                filter.set(STATES + i, STATES + j, options.terms_covariance[i * terms + j]);
+            }
+        }
         let state = State {
             options,
             filter,
@@ -198,7 +209,7 @@ impl Navigator {
 
     fn from_state(field: Arc<dyn Field>, state: State) -> Result<Self> {
         let law = MapLaw::new(field.as_ref(), &state.options);
-        let textbook = state.options.method == Method::Ekf;
+        let textbook = state.options.method != Method::Navigator;
         let risk = state.options.integrity_risk;
         let (probability, widening) = if textbook { (1.0 - risk, 1.0) } else { (0.99, widening(risk)?) };
         Ok(Self {
@@ -208,6 +219,7 @@ impl Navigator {
             widening,
             scratch: Scratch::default(),
             chosen: Chosen::default(),
+            slopes: Vec::new(),
             exact_slopes: textbook,
             record: None,
             state,
@@ -233,8 +245,8 @@ impl Navigator {
         let newest_is_sound = state.newest.is_none_or(|n| {
             [n.time_s, n.x, n.y, n.velocity_m_s[0], n.velocity_m_s[1], n.heading_rad].iter().all(|v| v.is_finite())
         });
-        let whole = state.filter.is_whole(STATES)
-            && state.batch.is_whole()
+        let whole = state.filter.is_whole(STATES + state.options.terms())
+            && state.batch.is_whole(state.options.terms())
             && state.running.is_sound()
             && state.watch.is_whole()
             && newest_is_sound;
@@ -271,7 +283,7 @@ impl Navigator {
 
     /// Indicated minus true, as estimated: position (m) and velocity (m/s) east and north, tilts about north, east and down (rad), gyro
     /// biases forward, right and down (rad/s), accelerometer biases forward and right (m/s2), sensor bias (value units), displacement of the
-    /// map's features east and north (m).
+    /// map's features east and north (m), then the coefficients of the vehicle's own field.
     pub fn mean(&self) -> &[f64] {
         self.state.filter.mean()
     }
@@ -291,7 +303,8 @@ impl Navigator {
 
     /// The covariance that is reported.
     fn reported_m2(&self) -> [[f64; 2]; 2] {
-        let factor = if self.state.options.method == Method::Ekf { 1.0 } else { self.state.running.factor() };
+        let ours = self.state.options.method == Method::Navigator;
+        let factor = if ours { self.state.running.factor() } else { 1.0 };
         self.own_m2().map(|row| row.map(|c| factor * c))
     }
 }

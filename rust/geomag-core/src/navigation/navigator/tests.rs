@@ -68,7 +68,8 @@ fn a_velocity_error_swings_with_the_schuler_period() {
     let bias = 0.01_f64.to_radians() / 3600.0;
     let x = carried(&f, one(GYRO + 1, bias), 3600.0);
     let expected = R * bias * (3600.0 - (rate * 3600.0).sin() / rate);
-    assert_relative_eq!(x[POSITION + 1].abs(), expected, max_relative = 2e-3);
+    // The Earth's rate adds its square to that of the swing, 0.35 %.
+    assert_relative_eq!(x[POSITION + 1].abs(), expected, max_relative = 1e-2);
 }
 
 #[test]
@@ -86,6 +87,9 @@ fn a_heading_error_couples_with_the_earths_rate() {
     // To the east there is next to nothing: an odometer would have been out by the way times the heading.
     assert!(x[POSITION].abs() < 0.5 * x[POSITION + 1].abs());
 }
+
+/// About how large the errors of an INS are, in their units.
+const SIZES: [f64; INS_STATES] = [100.0, 100.0, 0.2, 0.2, 1e-4, 1e-4, 1e-3, 1e-7, 1e-7, 1e-7, 1e-3, 1e-3];
 
 #[test]
 fn the_transition_is_the_exponential_of_the_rates() {
@@ -120,25 +124,25 @@ fn the_transition_is_the_exponential_of_the_rates() {
     let phi = transition(&f, &decay, dt);
     for i in 0..COUPLED {
         for j in 0..INS_STATES {
-            // What is left out is of the third order.
-            let scale = sum[i][j].abs().max(1e-9);
-            assert!((phi[i][j] - sum[i][j]).abs() < 2e-2 * scale + 1e-6, "{i} {j}: {} {}", phi[i][j], sum[i][j]);
+            // What is left out is of the third order; in units of how large the errors are.
+            let off = (phi[i][j] - sum[i][j]).abs() * SIZES[j] / SIZES[i];
+            assert!(off < 1e-3, "{i} {j}: {} {}", phi[i][j], sum[i][j]);
         }
     }
 }
 
-/// A field of many waves on 100 m cells, 40 km square.
+/// A field of many waves on 200 m cells, 40 km square.
 fn map(seed: u64) -> GridMap {
     let mut random = Random::new(seed);
-    let waves: Vec<[f64; 4]> = (0..60)
+    let waves: Vec<[f64; 4]> = (0..40)
         .map(|_| {
             let length = 1500.0 * libm::exp(1.2 * random.uniform(0.0, 1.0));
             let angle = random.uniform(0.0, std::f64::consts::TAU);
             let k = std::f64::consts::TAU / length;
-            [k * libm::cos(angle), k * libm::sin(angle), random.uniform(0.0, std::f64::consts::TAU), length / 250.0]
+            [k * libm::cos(angle), k * libm::sin(angle), random.uniform(0.0, std::f64::consts::TAU), length / 200.0]
         })
         .collect();
-    let axis: Vec<f64> = (0..401).map(|i| f64::from(i) * 100.0).collect();
+    let axis: Vec<f64> = (0..201).map(|i| f64::from(i) * 200.0).collect();
     let values = axis
         .iter()
         .flat_map(|y| {
@@ -174,6 +178,7 @@ impl Log {
             heading_deg: Some(&self.heading),
             height_m: None,
             readings: Some(&self.readings),
+            terms: None,
         }
     }
 
@@ -280,7 +285,7 @@ fn square(error: [f64; 2], c: [[f64; 2]; 2]) -> f64 {
 fn over_a_right_map_the_covariance_is_what_the_errors_are() {
     let mut random = Random::new(11);
     let (mut nees, mut beyond, mut far, mut n) = (0.0, 0, 0.0_f64, 0.0);
-    for seed in 0..8 {
+    for seed in 0..6 {
         let map = Arc::new(map(seed));
         let log = fly(&map, 2400, 100.0, &mut random);
         let steps = run(&map, &log, NavigatorOptions::new(100.0));
@@ -407,13 +412,13 @@ fn errors_of_the_map_are_gathered_and_stay_within_the_covariance() {
     // A map with errors of a wavelength of twice the gap between its lines, said to be so large.
     let mut random = Random::new(15);
     let (mut nees, mut n) = (0.0, 0.0);
-    for seed in 20..26 {
+    for seed in 20..24 {
         let right = map(seed);
         let wrong = map(seed + 100);
         let values = (0..right.values().len())
             .map(|i| right.values().get(i) + 0.08 * (wrong.values().get(i) - wrong.mean()))
             .collect();
-        let axis: Vec<f64> = (0..401).map(|i| f64::from(i) * 100.0).collect();
+        let axis: Vec<f64> = (0..201).map(|i| f64::from(i) * 200.0).collect();
         let model = MapErrorModel {
             nu: 3.0,
             scale_spread: 0.35,
@@ -428,7 +433,7 @@ fn errors_of_the_map_are_gathered_and_stay_within_the_covariance() {
             .unwrap()
             .with_error_model(Some(model))
             .unwrap();
-        let log = fly(&right, 3600, 100.0, &mut random);
+        let log = fly(&right, 2400, 100.0, &mut random);
         let steps = run(&Arc::new(charted), &log, NavigatorOptions::new(100.0));
         assert!(steps.iter().any(|s| s.outcome == Outcome::Waiting) && steps.iter().any(|s| s.nis.is_some()));
         for (k, step) in steps.iter().enumerate().skip(300) {
@@ -551,4 +556,29 @@ fn the_covariance_stays_positive_over_a_million_steps() {
     let n = STATES;
     let scaled = nalgebra::DMatrix::from_fn(n, n, |i, j| filter.at(i, j) / (filter.at(i, i) * filter.at(j, j)).sqrt());
     assert!(scaled.cholesky().is_some());
+}
+
+#[test]
+fn the_vehicles_own_field_is_learnt_in_flight() {
+    // Two terms that turn with the heading, some 40 nT each: known not at all, and known rightly.
+    let map = Arc::new(map(30));
+    let mut log = fly(&map, 3600, 100.0, &mut Random::new(31));
+    let coefficients = [40.0, -25.0];
+    let terms: Vec<f64> = log.heading.iter().flat_map(|h| [h.to_radians().cos(), h.to_radians().sin()]).collect();
+    for (reading, term) in log.readings.iter_mut().zip(terms.chunks(2)) {
+        *reading += coefficients[0] * term[0] + coefficients[1] * term[1];
+    }
+    let options = NavigatorOptions { terms_covariance: vec![2500.0, 0.0, 0.0, 2500.0], ..NavigatorOptions::new(100.0) };
+    let input = FlightInput { terms: Some(&terms), ..log.input() };
+    let flight = navigate(map.clone(), &input, options.clone(), Smoothing::No, &Quiet).unwrap();
+    for (found, wanted) in flight.state[STATES..].iter().zip(coefficients) {
+        assert!((found - wanted).abs() < 8.0, "{:?}", &flight.state[STATES..]);
+    }
+    let last = flight.steps.len() - 1;
+    let error = log.error_m(&flight.steps[last], last);
+    assert!(error[0].hypot(error[1]) < flight.steps[last].protection_level_m);
+    // Terms must be as many as there are coefficients.
+    assert!(navigate(map.clone(), &log.input(), options.clone(), Smoothing::No, &Quiet).is_err());
+    let singular = NavigatorOptions { terms_covariance: vec![1.0, 1.0, 1.0, 1.0], ..options };
+    assert!(Navigator::new(map, singular).is_err());
 }
