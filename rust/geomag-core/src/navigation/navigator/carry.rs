@@ -3,7 +3,6 @@
 use super::motion::{ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, Rows, TILT, VELOCITY, rates, transition};
 use super::outcome::Inputs;
 use super::{BIAS, Navigator, Newest, REGISTRATION};
-use crate::frame::displacement_m;
 
 /// Longest time over which the errors are carried on at once, seconds.
 const LONGEST_STEP_S: f64 = 5.0;
@@ -24,7 +23,7 @@ impl Navigator {
             }
         });
         (self.state.filter, self.scratch, self.record) = (filter, scratch, record);
-        let moved = displacement_m(self.field.geographic(), [before.x, before.y], [now.x, now.y]);
+        let moved = self.field.displacement_m([before.x, before.y], [now.x, now.y]);
         let way = moved[0].hypot(moved[1]);
         self.state.batch.gathered_m += way;
         self.state.watch.since_m += way;

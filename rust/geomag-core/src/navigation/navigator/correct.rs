@@ -90,7 +90,7 @@ impl Navigator {
         self.newest()?;
         let Some(newest) = self.state.newest else { return Ok(()) };
         let place = [self.field.wrap_x(place[0]), place[1]];
-        let error = crate::frame::displacement_m(self.field.geographic(), place, [newest.x, newest.y]);
+        let error = self.field.displacement_m(place, [newest.x, newest.y]);
         self.start_again(error, covariance_m2);
         self.judge_again();
         Ok(())

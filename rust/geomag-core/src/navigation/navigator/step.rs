@@ -7,7 +7,6 @@ use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
 use super::{BIAS, Navigator, Newest, REGISTRATION};
 use crate::error::{Error, Result, require_finite};
-use crate::frame::displacement_m;
 
 /// Longest time between two steps, seconds.
 const LONGEST_GAP_S: f64 = 86_400.0;
@@ -95,7 +94,7 @@ impl Navigator {
                 require_finite("velocity_m_s", &v)?;
                 v
             }
-            (None, Some(b)) if gap > 0.0 => displacement_m(geographic, [b.x, b.y], [x, y]).map(|d| d / gap),
+            (None, Some(b)) if gap > 0.0 => self.field.displacement_m([b.x, b.y], [x, y]).map(|d| d / gap),
             (None, Some(b)) => b.velocity_m_s,
             (None, None) => [0.0; 2],
         };
@@ -122,7 +121,7 @@ impl Navigator {
     /// The first step: what is known of the start, and of the map there.
     pub(super) fn begin(&mut self, now: &Newest) {
         if let Some([x, y]) = self.state.options.start {
-            let error = displacement_m(self.field.geographic(), [self.field.wrap_x(x), y], [now.x, now.y]);
+            let error = self.field.displacement_m([self.field.wrap_x(x), y], [now.x, now.y]);
             self.state.filter.mean_mut()[POSITION..POSITION + 2].copy_from_slice(&error);
         }
         let distance = self.law.distance_m(self.field.as_ref(), now.x, now.y);
