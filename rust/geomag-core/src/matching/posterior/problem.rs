@@ -421,7 +421,7 @@ impl<'a> Problem<'a> {
         let setup = self.setup(channel, 0, [0.0, 0.0]);
         let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
         let (map_sigma, distance) = self.along(channel);
-        
+
         let (share, temper) = channel.temper(&level, distance, channel.mean_variance(&map_sigma), self.spacing_m);
         let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };

@@ -48,7 +48,7 @@ pub(super) struct MapLaw {
 impl MapLaw {
     /// From what the field knows of itself and what was asked for.
     pub fn new(field: &dyn Field, options: &NavigatorOptions) -> Self {
-        let grid = field.as_grid();
+        let grid = field.layout();
         let model = grid.and_then(GridMap::error_model);
         let looked = Looked::at(field);
         let bare = grid.is_some_and(|g| g.map_sigma().is_none() && g.error_model().is_none());
@@ -102,7 +102,7 @@ impl MapLaw {
 
     /// Distance to the data at a place, metres.
     pub fn distance_m(&self, field: &dyn Field, x: f64, y: f64) -> f64 {
-        field.as_grid().and_then(|grid| distance_at(grid, x, y)).unwrap_or(self.usual_distance_m)
+        field.layout().and_then(|grid| distance_at(grid, x, y)).unwrap_or(self.usual_distance_m)
     }
 
     /// Stretch over which readings are gathered into one measurement, metres; zero takes every reading by itself.
@@ -169,13 +169,13 @@ struct Looked {
     cell_m: f64,
     /// Root mean square of what the nodes between others are missed by, value units.
     roughness: f64,
-    /// Standard deviation of the field over the root mean square of its slope, a quarter of it, metres.
+    /// Standard deviation of the field over the root mean square of its slope, half of it (a twelfth of a wavelength), metres.
     length_m: f64,
 }
 
 impl Looked {
     fn at(field: &dyn Field) -> Self {
-        let Some(grid) = field.as_grid() else {
+        let Some(grid) = field.layout() else {
             let spacing = field.spacing();
             let scale = field.metres_per_unit(0.0);
             let cell_m = 0.5 * (spacing[0] * scale[0] + spacing[1] * scale[1]);
@@ -214,14 +214,14 @@ impl Looked {
         }
         sigmas.sort_by(f64::total_cmp);
         distances.sort_by(f64::total_cmp);
-        let length_m = 0.25 * (square / slope.max(f64::MIN_POSITIVE)).sqrt();
+        let length_m = 0.5 * (square / slope.max(f64::MIN_POSITIVE)).sqrt();
         Self {
             sigma: sigmas.last().copied().unwrap_or(0.0),
             least_sigma: sigmas.get(sigmas.len() / 10).copied().unwrap_or(0.0),
             distance_m: distances.get(distances.len() / 2).copied().unwrap_or(cell_m),
             cell_m,
             roughness: if between > 0.0 { (missed / between).sqrt() } else { 0.0 },
-            length_m: if count > 0.0 { length_m.clamp(cell_m, 1e6) } else { cell_m },
+            length_m: if count > 0.0 { length_m.clamp(1.5 * cell_m, 1e6) } else { cell_m },
         }
     }
 }
