@@ -25,12 +25,16 @@ def lines_of(arguments: list[str]) -> tuple[Lines, str]:
     folder = os.environ.get("GEOMAG_DATA")
     path = Path(arguments[0]) if arguments else Path(folder or ".", "osborne-aeromag", "osborne_lines.csv.gz")
     if not path.exists():
-        field = synthetic.Crust(height_m=150.0, longest_m=20_000.0, shortest_m=600.0).draw((0, 0, 30_000, 14_000), seed=4)
+        field = synthetic.Crust(height_m=150.0, longest_m=20_000.0, shortest_m=600.0).draw(
+            (0, 0, 30_000, 14_000), seed=4
+        )
         return synthetic.survey(field, line_spacing_m=350.0, level_sigma=2.0, sigma=0.5), "made-up lines"
     lines = read_lines(path)
     inside = (lines.x > PART[0]) & (lines.x < PART[1]) & (lines.y > PART[2]) & (lines.y < PART[3])
     some = np.flatnonzero(inside)[::3]
-    return Lines(lines.x[some], lines.y[some], lines.values[some], lines.line[some], lines.geographic), "part of Osborne"
+    return Lines(
+        lines.x[some], lines.y[some], lines.values[some], lines.line[some], lines.geographic
+    ), "part of Osborne"
 
 
 lines, name = lines_of(sys.argv[1:])
