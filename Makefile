@@ -34,6 +34,7 @@ $(VENV)/dev: $(VENV)/extras
 build: $(VENV)/built
 
 demo: $(VENV)/built $(VENV)/extras
+	@mkdir -p out
 	$(BIN)/geomag demo --out out/demo.png
 
 test: test-rust test-python
@@ -58,6 +59,7 @@ lint: $(VENV)/built $(VENV)/dev stubs
 	$(BIN)/ruff format --check python tests examples benches
 	$(BIN)/ruff check python tests examples benches
 	$(BIN)/mypy
+	$(BIN)/zizmor --offline --quiet .github
 
 stubs: $(VENV)/built $(VENV)/dev
 	$(BIN)/python -m mypy.stubtest geomag._geomag --allowlist tests/stubtest-allowlist.txt

@@ -6,7 +6,7 @@ mod sample;
 
 pub use axis::Axis;
 pub(crate) use axis::split_position;
-pub use nodes::{GridValues, MapSigma};
+pub use nodes::{GridValues, MapHeight, MapSigma};
 pub use sample::Interpolation;
 
 use std::ops::Range;
@@ -41,6 +41,7 @@ pub struct GridMap {
     mean: f64,
     sigma: Option<MapSigma>,
     error_model: Option<MapErrorModel>,
+    height: Option<MapHeight>,
 }
 
 impl GridMap {
@@ -134,7 +135,17 @@ impl GridMap {
         if count == 0 {
             return Err(Error::invalid("map values", "at least one value that is not NaN", "only NaN"));
         }
-        Ok(Self { x, y, values, geographic, holes, mean: origin + sum / count as f64, sigma: None, error_model: None })
+        Ok(Self {
+            x,
+            y,
+            values,
+            geographic,
+            holes,
+            mean: origin + sum / count as f64,
+            sigma: None,
+            error_model: None,
+            height: None,
+        })
     }
 
     /// The same map with the standard deviation of its values.
@@ -178,6 +189,37 @@ impl GridMap {
         }
         self.error_model = model;
         Ok(self)
+    }
+
+    /// The same map with the height of its values, metres above its height datum, positive up.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`], [`Error::NotFiniteNode`] for a node with a value but no height, [`Error::Shape`] for a grid of
+    /// another size.
+    pub fn with_height(mut self, height: Option<MapHeight>) -> Result<Self> {
+        match &height {
+            None => {}
+            Some(MapHeight::Level(level)) => crate::error::require_finite("map height_m", &[*level])?,
+            Some(MapHeight::Drape(drape)) => {
+                if drape.len() != self.values.len() {
+                    let needed = format!("{} values as the map", self.values.len());
+                    return Err(Error::shape("map height_m", needed, format!("{} values", drape.len())));
+                }
+                let bad = |i: &usize| drape[*i].is_infinite() || drape[*i].is_nan() && !self.values.get(*i).is_nan();
+                if let Some(i) = (0..drape.len()).find(bad) {
+                    let (row, column) = (i / self.x.len(), i % self.x.len());
+                    let (x, y) = (self.x.at(column), self.y.at(row));
+                    return Err(Error::NotFiniteNode { what: "map height_m".into(), row, column, x, y, got: drape[i] });
+                }
+            }
+        }
+        self.height = height;
+        Ok(self)
+    }
+
+    /// The height of the values, where it is known.
+    pub fn height(&self) -> Option<&MapHeight> {
+        self.height.as_ref()
     }
 
     /// What is known of the errors beyond their standard deviation.
@@ -257,7 +299,14 @@ impl GridMap {
         });
         let x = Axis::new(self.x.at(columns.start), self.x.step(), columns.len())?;
         let y = Axis::new(self.y.at(rows.start), self.y.step(), rows.len())?;
-        Self::from_axes(values, x, y, self.geographic)?.with_sigma(sigma)?.with_error_model(error_model)
+        let height = self.height.as_ref().map(|h| match h {
+            MapHeight::Level(level) => MapHeight::Level(*level),
+            MapHeight::Drape(drape) => MapHeight::Drape(part(drape, width, &rows, &columns)),
+        });
+        Self::from_axes(values, x, y, self.geographic)?
+            .with_sigma(sigma)?
+            .with_error_model(error_model)?
+            .with_height(height)
     }
 }
 
