@@ -18,6 +18,8 @@ _Status: TypeAlias = Literal[
     "fixed", "searching", "ambiguous", "at_edge", "lost", "uninformative", "not_converged", "rejected"
 ]
 
+_Field: TypeAlias = GridMap | HarmonicMap
+
 @final
 class GridMap:
     def __new__(
@@ -59,6 +61,7 @@ class GridMap:
         crossover: float | None = None,
         registration_m_per_d: float | None = None,
         registration_length: float | None = None,
+        layout: Literal["given", "values"] = "given",
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -96,6 +99,7 @@ class GridMap:
         text: tuple[str | None, str | None, str | None],
         model: dict[str, Any] | None,
         height_m: ArrayLike | None = None,
+        turned: tuple[bool, bool] = ...,
     ) -> GridMap: ...
 
 @final
@@ -196,7 +200,7 @@ class IemaStep:
 class Iema:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: _Field,
         sigma: float,
         half_width: _Pair,
         tolerance: _Pair | None = None,
@@ -222,10 +226,10 @@ class Iema:
     def n_feasible(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
-    def _restore(grid: GridMap, bytes: bytes) -> Iema: ...
+    def _restore(grid: _Field, bytes: bytes) -> Iema: ...
 
 def match_grid(
-    grid: GridMap,
+    grid: _Field,
     track: Track,
     criterion: str = "msd",
     *,
@@ -957,7 +961,7 @@ class FieldNavigator:
 # Calibrated matching.
 
 def match_posterior(
-    grid: GridMap,
+    grid: _Field,
     track: Track,
     *,
     half_width: _Pair,
@@ -975,10 +979,10 @@ def match_posterior(
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
     surface: bool = False,
-    more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
+    more: Sequence[tuple[_Field, ArrayLike, float | None]] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
-    grid: GridMap,
+    grid: _Field,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -999,7 +1003,7 @@ def match_posterior_many(
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
-    grid: GridMap,
+    grid: _Field,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1033,7 +1037,7 @@ class PosteriorStep:
 class PosteriorMatcher:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: _Field,
         *,
         half_width: _Pair,
         sigma: float | None = None,
@@ -1061,7 +1065,7 @@ class PosteriorMatcher:
     def n_feasible(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
-    def _restore(grid: GridMap, state: bytes) -> PosteriorMatcher: ...
+    def _restore(grid: _Field, state: bytes) -> PosteriorMatcher: ...
 
 @final
 class Prediction:

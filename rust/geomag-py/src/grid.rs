@@ -69,12 +69,14 @@ pub struct PyGridMap {
     name: Option<String>,
     units: Option<String>,
     crs: Option<String>,
+    /// Whether columns and rows of the arrays that it was made of ran the other way: layers that come later do too.
+    turned: [bool; 2],
 }
 
 impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
-        Self { inner: Arc::new(inner), name, units, crs }
+        Self { inner: Arc::new(inner), name, units, crs, turned: [false; 2] }
     }
 }
 
@@ -110,6 +112,39 @@ fn axis_array<'py>(py: Python<'py>, axis: &Axis) -> PyRes<Bound<'py, PyAny>> {
     shaped(py, (0..axis.len()).map(|i| axis.at(i)).collect(), &[axis.len()])
 }
 
+/// Whether coordinates ran down where their axis runs up.
+fn turned(coordinates: &[f64], axis: &Axis) -> bool {
+    (coordinates[0] - axis.first()).abs() > 0.5 * axis.step()
+}
+
+/// A layer of numbers >= 0 (NaN where unknown) of a map's shape.
+fn positive_layer(what: &str, object: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyRes<Vec<f64>> {
+    let values = layer(what, object, shape)?;
+    match values.iter().position(|s| s.is_infinite() || *s < 0.0) {
+        None => Ok(values),
+        Some(i) => {
+            let place = format!("{what}[{}, {}]", i / shape.1, i % shape.1);
+            Err(invalid(&place, "a finite number >= 0 (NaN where unknown)", values[i]))
+        }
+    }
+}
+
+/// A layer of a map's shape.
+fn layer(what: &str, object: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyRes<Vec<f64>> {
+    let (values, rows, columns) = matrix(what, object)?;
+    if (rows, columns) != shape {
+        return Err(Error::shape(what, format!("{shape:?} as values"), format!("({rows}, {columns})")).into());
+    }
+    Ok(values)
+}
+
+/// A layer turned as the values of its map were, so that it lies as they do.
+fn turn(layer: &[f64], (rows, columns): (usize, usize), turned: [bool; 2]) -> Vec<f64> {
+    let from = |i: usize, n: usize, turned: bool| if turned { n - 1 - i } else { i };
+    let at = |k: usize| from(k / columns, rows, turned[1]) * columns + from(k % columns, columns, turned[0]);
+    (0..layer.len()).map(|k| layer[at(k)]).collect()
+}
+
 impl PyGridMap {
     fn with_model(&self, model: Option<MapErrorModel>) -> Result<Self, Error> {
         Ok(Self {
@@ -117,6 +152,7 @@ impl PyGridMap {
             name: self.name.clone(),
             units: self.units.clone(),
             crs: self.crs.clone(),
+            turned: self.turned,
         })
     }
 }
@@ -145,22 +181,12 @@ impl PyGridMap {
         }
         let resolution = axis_resolution(x, &xs).max(axis_resolution(y, &ys));
         let mut inner = GridMap::with_resolution(grid_values, &xs, &ys, geographic, resolution)?;
+        let turned = [turned(&xs, inner.x()), turned(&ys, inner.y())];
         if let Some(sigma) = sigma {
             let layer = if let Ok(constant) = sigma.extract::<f64>() {
                 MapSigma::Constant(constant)
             } else {
-                // The same constructor turns the layer with the axes, so that it lies as the values do.
-                let (layer, sigma_rows, sigma_columns) = matrix("sigma", sigma)?;
-                if (sigma_rows, sigma_columns) != (rows, columns) {
-                    let got = format!("({sigma_rows}, {sigma_columns})");
-                    return Err(Error::shape("sigma", format!("({rows}, {columns}) as values"), got).into());
-                }
-                if let Some(i) = layer.iter().position(|s| s.is_infinite() || *s < 0.0) {
-                    let place = format!("sigma[{}, {}]", i / columns, i % columns);
-                    return Err(invalid(&place, "a finite number >= 0 (NaN where unknown)", layer[i]));
-                }
-                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
-                MapSigma::Grid((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+                MapSigma::Grid(turn(&positive_layer("sigma", sigma, (rows, columns))?, (rows, columns), turned))
             };
             inner = inner.with_sigma(Some(layer))?;
         }
@@ -168,17 +194,11 @@ impl PyGridMap {
             let layer = if let Ok(level) = height.extract::<f64>() {
                 MapHeight::Level(level)
             } else {
-                let (layer, height_rows, height_columns) = matrix("height_m", height)?;
-                if (height_rows, height_columns) != (rows, columns) {
-                    let got = format!("({height_rows}, {height_columns})");
-                    return Err(Error::shape("height_m", format!("({rows}, {columns}) as values"), got).into());
-                }
-                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
-                MapHeight::Drape((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+                MapHeight::Drape(turn(&layer("height_m", height, (rows, columns))?, (rows, columns), turned))
             };
             inner = inner.with_height(Some(layer))?;
         }
-        Ok(Self { inner: Arc::new(inner), name, units, crs })
+        Ok(Self { inner: Arc::new(inner), name, units, crs, turned })
     }
 
     /// Make a map of a two-dimensional xarray.DataArray; see `geomag.io.grid_from_xarray` for the options.
@@ -246,12 +266,16 @@ impl PyGridMap {
 
     /// The same map with the statistics of its errors: see `geomag.survey`.
     ///
+    /// A layer `distance_m` lies as the arrays that the map was made of, north up or not, as `sigma` does there; with
+    /// `layout="values"` it lies as `values`, y ascending, which is what `error_model` says of its own.
+    ///
     /// The five after `distance_m` are what a filter has to know (`Navigator`): sigma of a single sample over the stored
     /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
     /// defaults; without any the navigator uses its own.
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
-                        batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None))]
+                        batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
+                        layout = "given"))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -265,15 +289,17 @@ impl PyGridMap {
         crossover: Option<f64>,
         registration_m_per_d: Option<f64>,
         registration_length: Option<f64>,
+        layout: &str,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
         } else {
-            let (values, rows, columns) = matrix("distance_m", distance_m)?;
-            if (rows, columns) != self.shape() {
-                let needed = format!("{:?} as values", self.shape());
-                return Err(Error::shape("distance_m", needed, format!("({rows}, {columns})")).into());
-            }
+            let turned = match layout {
+                "given" => self.turned,
+                "values" => [false; 2],
+                other => return Err(invalid("layout", "'given' or 'values'", format!("'{other}'"))),
+            };
+            let values = turn(&positive_layer("distance_m", distance_m, self.shape())?, self.shape(), turned);
             DistanceLayer::Grid(values.into_iter().map(|d| d as f32).collect())
         };
         let stated = [sample_factor, batch_factor, crossover, registration_m_per_d, registration_length];
@@ -303,6 +329,9 @@ impl PyGridMap {
             DistanceLayer::Grid(layer) => {
                 let values = layer.iter().map(|d| f64::from(*d)).collect();
                 out.set_item("distance_m", shaped(py, values, &[self.shape().0, self.shape().1])?)?;
+                if self.turned != [false; 2] {
+                    out.set_item("layout", "values")?;
+                }
             }
         }
         if let Some(law) = &model.filter {
@@ -445,15 +474,23 @@ impl PyGridMap {
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
         let model = this.error_model(py)?;
-        let arguments =
-            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model, this.height_m(py)?)
-                .into_pyobject(py)?;
+        let arguments = (
+            this.values(py)?,
+            axes,
+            this.inner.geographic(),
+            this.sigma(py)?,
+            text,
+            model,
+            this.height_m(py)?,
+            this.turned,
+        )
+            .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
-    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None))]
-    #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
+    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None, turned = [false, false]))]
+    #[allow(clippy::type_complexity, clippy::too_many_arguments)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
         axes: ((f64, f64), (f64, f64)),
@@ -462,6 +499,7 @@ impl PyGridMap {
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
         height_m: Option<&Bound<'_, PyAny>>,
+        turned: [bool; 2],
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -482,7 +520,7 @@ impl PyGridMap {
             }),
         };
         let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_height(height)?;
-        let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2, turned };
         let Some(model) = model else { return Ok(map) };
         let number = |key: &str| -> PyRes<f64> {
             match model.get_item(key)? {

@@ -43,6 +43,15 @@ impl ErrorStateFilter {
         Ok(Self { state, covariance })
     }
 
+    /// Refuses contents that no filter of `n` states can have.
+    pub(crate) fn check(&self, n: usize) -> Result<()> {
+        if self.state.len() != n {
+            return Err(Error::shape("state", format!("({n},)"), format!("({},)", self.state.len())));
+        }
+        square("covariance", &self.covariance, n)?;
+        Self::new(self.state.clone(), self.covariance.clone()).map(drop)
+    }
+
     /// The estimated error.
     pub fn state(&self) -> &DVector<f64> {
         &self.state

@@ -49,6 +49,24 @@ pub struct Innovation {
     pub accepted: bool,
 }
 
+impl Innovation {
+    /// Refuses an innovation that a filter of `n` states cannot have had.
+    pub(super) fn check(&self, n: usize) -> Result<()> {
+        let m = self.residual.len();
+        let shapes = [("innovation covariance", self.covariance.shape(), m), ("gain", self.gain.shape(), n)];
+        for (what, shape, rows) in shapes {
+            if m == 0 || m > super::MAX_STATES || shape != (rows, m) {
+                return Err(Error::shape(what, format!("({rows}, {m})"), format!("{shape:?}")));
+            }
+        }
+        require_finite("innovation", self.residual.as_slice())?;
+        if self.nis.is_nan() || self.nis < 0.0 {
+            return Err(Error::invalid("normalised innovation squared", "a number >= 0", self.nis));
+        }
+        Ok(())
+    }
+}
+
 impl Estimate {
     /// From a mean of n numbers and a symmetric positive definite covariance, row-major, n x n.
     ///
@@ -69,6 +87,27 @@ impl Estimate {
         let covariance = square("covariance P", n, covariance)?;
         let (factor, regularised) = factorise("covariance P", &covariance)?;
         Ok(Self { mean: DVector::from_column_slice(mean), factor, regularisations: u64::from(regularised) })
+    }
+
+    /// Refuses an estimate that no filter can have made.
+    pub(crate) fn check(&self) -> Result<()> {
+        let n = self.mean.len();
+        if n == 0 || n > super::MAX_STATES {
+            return Err(Error::shape("state x", format!("1 to {} numbers", super::MAX_STATES), n));
+        }
+        if self.factor.shape() != (n, n) {
+            let got = format!("{:?}", self.factor.shape());
+            return Err(Error::shape("factor of the covariance", format!("({n}, {n})"), got));
+        }
+        require_finite("state x", self.mean.as_slice())?;
+        require_finite("factor of the covariance", self.factor.as_slice())?;
+        for j in 0..n {
+            if self.factor[(j, j)] < 0.0 || (0..j).any(|i| self.factor[(i, j)] != 0.0) {
+                let needed = "a lower triangle with a diagonal >= 0";
+                return Err(Error::invalid(format!("factor of the covariance, column {j}"), needed, "another matrix"));
+            }
+        }
+        Ok(())
     }
 
     /// Takes a new mean and covariance of the same size; regularisations go on being counted.

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::estimate::{Estimate, Innovation, check_gate, noise_factor};
 use crate::error::{Error, Result, require_finite};
+use crate::state::Saved;
 
 /// An extended Kalman filter: the caller gives predicted values and their Jacobians.
 ///
@@ -23,6 +24,15 @@ use crate::error::{Error, Result, require_finite};
 pub struct ExtendedKalmanFilter {
     estimate: Estimate,
     innovation: Option<Innovation>,
+}
+
+impl Saved for ExtendedKalmanFilter {
+    const NAME: &'static str = "ExtendedKalmanFilter";
+
+    fn check(&self) -> Result<()> {
+        self.estimate.check()?;
+        self.innovation.as_ref().map_or(Ok(()), |i| i.check(self.estimate.len()))
+    }
 }
 
 impl ExtendedKalmanFilter {

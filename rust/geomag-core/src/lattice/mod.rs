@@ -27,6 +27,7 @@ pub use tile::{MAX_SLOTS, Measure};
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_extent;
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::frame::displacement_m;
@@ -61,6 +62,8 @@ impl OffsetLattice {
         for (d, axis) in ["x", "y"].iter().enumerate() {
             require_not_negative(&format!("half_width {axis}"), half_width[d])?;
             require_positive(&format!("step {axis}"), step[d])?;
+            require_extent(&format!("half_width {axis}"), half_width[d])?;
+            require_extent(&format!("step {axis}"), step[d])?;
             let ratio = (half_width[d] / step[d]).min(f64::MAX);
             let cells = (ratio - 1e-9 * ratio.max(1.0)).ceil().max(0.0);
             sizes[d] = (cells as u128).saturating_mul(2).saturating_add(1);

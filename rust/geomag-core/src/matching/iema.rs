@@ -8,6 +8,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_place;
 use crate::constants::LN_SQRT_2PI;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive, room};
 use crate::field::Field;
@@ -15,6 +16,7 @@ use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
 use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
 use crate::monitor::{Monitor, Quiet};
+use crate::state::Saved;
 use crate::track::Track;
 
 /// The gate of the paper, in standard deviations.
@@ -67,6 +69,15 @@ impl IemaOptions {
             gate: GATE,
             max_candidates: DEFAULT_MAX_CANDIDATES,
         }
+    }
+
+    fn check(&self) -> Result<()> {
+        require_positive("sigma", self.sigma)?;
+        require_positive("gate", self.gate)?;
+        for (d, axis) in ["x", "y"].iter().enumerate() {
+            require_not_negative(&format!("tolerance {axis}"), self.tolerance[d])?;
+        }
+        Ok(())
     }
 }
 
@@ -156,6 +167,36 @@ struct State {
     feasible: Option<Vec<Candidate>>,
 }
 
+/// What is saved: everything but the map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Saving {
+    options: IemaOptions,
+    state: State,
+}
+
+impl Saved for Saving {
+    const NAME: &'static str = "Iema";
+
+    fn check(&self) -> Result<()> {
+        self.options.check()?;
+        let Some(list) = &self.state.feasible else {
+            return match self.state.n_samples {
+                0 => Ok(()),
+                n => Err(Error::invalid("samples seen", "0 before the first", n)),
+            };
+        };
+        if list.windows(2).any(|w| (w[0].row, w[0].column) >= (w[1].row, w[1].column)) {
+            return Err(Error::invalid("candidates", "row by row, each once", "another order"));
+        }
+        match list.iter().find(|c| !c.log_score.is_finite() || c.misses > self.options.max_misses) {
+            None => Ok(()),
+            Some(c) => {
+                Err(Error::invalid("candidate", "a finite score and no more misses than allowed", format!("{c:?}")))
+            }
+        }
+    }
+}
+
 impl Iema {
     /// A matcher on a map.
     ///
@@ -163,11 +204,7 @@ impl Iema {
     /// [`Error::Invalid`] for a sigma, step or gate that is not positive or a negative bound or tolerance,
     /// [`Error::TooManyCandidates`].
     pub fn new(field: Arc<dyn Field>, options: IemaOptions) -> Result<Self> {
-        require_positive("sigma", options.sigma)?;
-        require_positive("gate", options.gate)?;
-        for (d, axis) in ["x", "y"].iter().enumerate() {
-            require_not_negative(&format!("tolerance {axis}"), options.tolerance[d])?;
-        }
+        options.check()?;
         let lattice =
             OffsetLattice::new(options.half_width, options.step.unwrap_or(field.spacing()), options.max_candidates)?;
         let classes = field.as_grid().and_then(|grid| Classes::of(grid, lattice.step()));
@@ -230,8 +267,7 @@ impl Iema {
     /// # Errors
     /// [`Error::NotFinite`] for a NaN or infinite argument, [`Error::NoMemory`]; the state is then as it was.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<IemaStep> {
-        require_finite("indicated x", &[x])?;
-        require_finite("indicated y", &[y])?;
+        require_place("indicated", self.field.geographic(), [x, y])?;
         require_finite("value", &[value])?;
         let test = Test {
             value,
@@ -289,7 +325,7 @@ impl Iema {
     /// # Errors
     /// [`Error::State`].
     pub fn save(&self) -> Result<Vec<u8>> {
-        crate::state::save("Iema", &(&self.options, &self.state))
+        crate::state::save(&Saving { options: self.options.clone(), state: self.state.clone() })
     }
 
     /// A matcher that goes on, bit for bit, where [`Iema::save`] left.
@@ -297,7 +333,7 @@ impl Iema {
     /// # Errors
     /// [`Error::State`] for bytes that are no such state or do not fit the lattice.
     pub fn restore(field: Arc<dyn Field>, bytes: &[u8]) -> Result<Self> {
-        let (options, state): (IemaOptions, State) = crate::state::load("Iema", bytes)?;
+        let Saving { options, state } = crate::state::load(bytes)?;
         let mut iema = Self::new(field, options)?;
         let (rows, columns) = (iema.lattice.rows(), iema.lattice.columns());
         if state.feasible.iter().flatten().any(|c| c.row as usize >= rows || c.column as usize >= columns) {

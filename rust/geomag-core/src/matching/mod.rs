@@ -4,7 +4,6 @@ pub mod closest;
 pub mod contour;
 pub mod grid_search;
 pub mod iema;
-mod local_fit;
 pub mod posterior;
 pub mod refine;
 pub mod scene;

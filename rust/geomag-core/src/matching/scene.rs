@@ -166,6 +166,7 @@ impl<'a> Scene<'a> {
             }
         }
         let geographic = first.map.geographic();
+        track.require_on(geographic)?;
         let newest = track.newest();
         let levers = (0..n).map(|k| displacement_m(geographic, newest, track.point(k))).collect();
         let placements = channels

@@ -15,11 +15,12 @@ use super::nuisance::reach_m;
 use super::patch::Patch;
 use super::problem::Problem;
 use super::search::Lattice;
-use crate::error::{Error, Result, require_finite};
+use crate::bounds::{require_place, require_places};
+use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::frame::displacement_m;
-use crate::state;
+use crate::state::{self, Saved};
 use crate::track::Track;
 
 /// Width of the gate in standard deviations of one sample.
@@ -38,6 +39,8 @@ const MOVED: f64 = 4.0;
 const SETTLED: f64 = 0.1;
 /// Name of the saved state.
 const NAME: &str = "PosteriorMatcher";
+/// Nodes of the field that are laid out for a saved state, which may ask for anything.
+const MOST_LAID_OUT: u64 = 1 << 24;
 
 /// What one sample did.
 #[derive(Debug, Clone, PartialEq)]
@@ -73,6 +76,36 @@ struct State {
     risk: f64,
     /// The box of the map that is laid out, x from and to, y from and to: what is linear depends on it.
     window: Option<[f64; 4]>,
+}
+
+impl Saved for State {
+    const NAME: &'static str = NAME;
+
+    fn check(&self) -> Result<()> {
+        self.options.validate()?;
+        let n = self.x.len();
+        if [self.y.len(), self.values.len()] != [n, n] {
+            let got = format!("{} and {}", self.y.len(), self.values.len());
+            return Err(Error::shape("samples: y and values", format!("({n},) as x"), got));
+        }
+        require_places("samples", false, &self.x, &self.y)?;
+        require_finite("values", &self.values)?;
+        if self.max_samples < FEWEST || n > self.max_samples || n > self.seen {
+            let got = format!("{n} held, {} seen, {} at most", self.seen, self.max_samples);
+            return Err(Error::invalid("samples", "no more held than seen and than may be held", got));
+        }
+        require_not_negative("movement", self.moved_m)?;
+        if !(0.0..=1.0).contains(&self.risk) {
+            return Err(Error::invalid("risk", "a probability", self.risk));
+        }
+        if let Some([west, east, south, north]) = self.window {
+            require_finite("window", &[west, east, south, north])?;
+            if !(west <= east && south <= north) {
+                return Err(Error::invalid("window", "from less to more", format!("{:?}", self.window)));
+            }
+        }
+        Ok(())
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -181,9 +214,19 @@ impl PosteriorMatcher {
     /// Takes one sample: indicated position in map units, measured value.
     ///
     /// # Errors
-    /// [`Error::NotFinite`] for a bad sample, which is not taken.
+    /// [`Error::NotFinite`], [`Error::Invalid`] for a bad sample, [`Error::TooManyCandidates`] for one that would need too large a
+    /// window of the field. It is then not taken: the matcher is as before.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
         require_finite("sample (x, y, value)", &[x, y, value])?;
+        require_place("sample", self.field.geographic(), [x, y])?;
+        // All or nothing: a sample that is refused on the way leaves the matcher as it was.
+        let mut next = self.clone();
+        let step = next.take(x, y, value)?;
+        *self = next;
+        Ok(step)
+    }
+
+    fn take(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
         let s = &mut self.state;
         if s.x.len() == s.max_samples {
             s.x.remove(0);
@@ -274,7 +317,7 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::State`].
     pub fn save(&self) -> Result<Vec<u8>> {
-        state::save(NAME, &self.state)
+        state::save(&self.state)
     }
 
     /// A matcher on `field` that goes on where [`PosteriorMatcher::save`] left.
@@ -283,10 +326,9 @@ impl PosteriorMatcher {
     /// [`Error::State`] for bytes that are not such a state, or one that this map and these options cannot have; those of
     /// [`PosteriorMatcher::new`].
     pub fn load(field: Arc<dyn Field>, bytes: &[u8]) -> Result<Self> {
-        let saved: State = state::load(NAME, bytes)?;
-        let mut matcher = Self::new(field, saved.sigma, saved.options.clone(), saved.max_samples)?;
+        let saved: State = state::load(bytes)?;
         let refuse = |detail: &str| Err(Error::State { what: NAME.into(), detail: detail.into() });
-        let lattice = matcher.state.lattice;
+        let lattice = Lattice::new(field.spacing(), &saved.options)?;
         if saved.lattice != lattice {
             return refuse("its lattice is not that of this map");
         }
@@ -297,23 +339,15 @@ impl PosteriorMatcher {
         if !saved.candidates.iter().all(on_lattice) {
             return refuse("a candidate lies outside the lattice of this map");
         }
-        let n = saved.x.len();
-        let numbers = [&saved.x, &saved.y, &saved.values];
-        if numbers.iter().any(|a| a.len() != n || require_finite("samples", a).is_err()) || n > saved.max_samples {
-            return refuse("its samples are not finite, or not as many x as y as values");
-        }
-        if n > saved.seen || !saved.moved_m.is_finite() {
-            return refuse("its counts do not fit its samples");
-        }
-        matcher.state = saved;
-        matcher.lay_out()?;
+        let mut matcher = Self { field, state: saved, patch: None };
+        matcher.lay_out(matcher.state.options.max_candidates.min(MOST_LAID_OUT))?;
         Ok(matcher)
     }
 
     /// Lays out the map over the state's window.
-    fn lay_out(&mut self) -> Result<()> {
+    fn lay_out(&mut self, most: u64) -> Result<()> {
         let Some(b) = self.state.window else { return Ok(()) };
-        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], self.state.options.max_candidates)?;
+        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], most)?;
         self.patch = Some(Arc::new(patch));
         Ok(())
     }
@@ -370,7 +404,7 @@ impl PosteriorMatcher {
             let room = [half[0] + 0.25 * (needed[1] - needed[0]), half[1] + 0.25 * (needed[3] - needed[2])];
             self.state.window =
                 Some([needed[0] - room[0], needed[1] + room[0], needed[2] - room[1], needed[3] + room[1]]);
-            self.lay_out()?;
+            self.lay_out(self.state.options.max_candidates)?;
         }
         Ok(())
     }

@@ -2,10 +2,10 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::options::GridSearch;
 use crate::field::Field;
 use crate::frame::displacement_m;
-use crate::lattice::{OffsetLattice, Pivot, centroid};
-use crate::matching::grid_search::GridSearch;
+use crate::lattice::OffsetLattice;
 use crate::matching::similarity::Criterion;
 use crate::track::Track;
 
@@ -38,21 +38,23 @@ impl LocalFit {
         let gain = search.criterion == Criterion::Ncc;
         let turning = placements.iter().any(|p| p.0 != placements[0].0);
         let stretching = placements.iter().any(|p| p.1 != placements[0].1);
-        let pivot = match search.pivot {
-            Pivot::Newest => moved[moved.len() - 1],
-            Pivot::Centroid => centroid(field.geographic(), moved.iter().copied()),
-        };
+        // Whatever point the search turned the track about, the newest is the one whose covariance is asked for; told about it,
+        // heading and scale span the same motions.
+        let newest = moved[moved.len() - 1];
         let mut rows: Vec<(Vec<f64>, f64, f64)> = Vec::with_capacity(moved.len());
         for (k, p) in moved.iter().enumerate() {
             let weight = search.weights.as_ref().map_or(1.0, |w| w[k]);
             if weight == 0.0 {
                 continue;
             }
-            let (m, [east, north]) = field.value_and_gradient(p[0], p[1]);
+            let (m, [east, north]) = match field.as_grid() {
+                Some(grid) => grid.sample_and_gradient(p[0], p[1], search.interpolation),
+                None => field.value_and_gradient(p[0], p[1]),
+            };
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
             }
-            let [e, n] = displacement_m(field.geographic(), pivot, *p);
+            let [e, n] = displacement_m(field.geographic(), newest, *p);
             let mut row = vec![east, north];
             if turning {
                 row.push(east * n - north * e);
@@ -132,6 +134,18 @@ impl LocalFit {
         let explained = right.dot(&(&inverse * &right));
         let least_squares = (samples > parameters).then(|| ((squares - explained).max(0.0), samples - parameters));
         Self { samples, bias, covariance_m2, least_squares, flat: false }
+    }
+
+    /// Adds what a place anywhere within a lattice cell is uncertain by: for an answer that stays on the lattice.
+    pub fn spread_over(&mut self, step: [f64; 2], half: [usize; 2], metres: [f64; 2]) {
+        if let Some(covariance) = &mut self.covariance_m2 {
+            for d in 0..2 {
+                // A direction that was not searched has no cell.
+                if half[d] > 0 {
+                    covariance[d][d] += (step[d] * metres[d]).powi(2) / 12.0;
+                }
+            }
+        }
     }
 
     /// Whether the position is no better known than the search itself.
