@@ -13,7 +13,7 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 
 #: Lowest floor first; modules of one group may use each other.
 FLOORS = [
-    {"error", "constants"},
+    {"error", "constants", "bounds"},
     {"monitor", "state", "statistics"},
     {"frame", "field", "grid", "map_error", "gridding", "information", "track", "fix"},
     {"harmonic", "kalman", "lattice"},

@@ -543,6 +543,7 @@ impl PyGridMap {
             optional("crossover")?,
             optional("registration_m_per_d")?,
             optional("registration_length")?,
+            "values",
         )
     }
 

@@ -62,8 +62,6 @@ impl OffsetLattice {
         for (d, axis) in ["x", "y"].iter().enumerate() {
             require_not_negative(&format!("half_width {axis}"), half_width[d])?;
             require_positive(&format!("step {axis}"), step[d])?;
-            require_extent(&format!("half_width {axis}"), half_width[d])?;
-            require_extent(&format!("step {axis}"), step[d])?;
             let ratio = (half_width[d] / step[d]).min(f64::MAX);
             let cells = (ratio - 1e-9 * ratio.max(1.0)).ceil().max(0.0);
             sizes[d] = (cells as u128).saturating_mul(2).saturating_add(1);
@@ -77,6 +75,10 @@ impl OffsetLattice {
                 needed,
                 limit,
             });
+        }
+        for (d, axis) in ["x", "y"].iter().enumerate() {
+            require_extent(&format!("half_width {axis}"), half_width[d])?;
+            require_extent(&format!("step {axis}"), step[d])?;
         }
         Ok(Self { half, step })
     }

@@ -93,7 +93,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     let offset = [newest[0] - indicated[0] + offset[0], newest[1] - indicated[1] + offset[1]];
     let [dx, dy] = [offset[0] - (newest[0] - indicated[0]), offset[1] - (newest[1] - indicated[1])];
     let moved: Vec<[f64; 2]> = points.iter().map(|p| [field.wrap_x(p[0] + dx), p[1] + dy]).collect();
-    let mut fit = LocalFit::new(field, track, search, &moved, &placements);
+    let mut fit = LocalFit::new(field, track, search, &moved, &placements, (heading_deg, scale));
     if !search.refine {
         fit.spread_over(lattice.step(), lattice.half(), field.metres_per_unit(newest[1]));
     }
