@@ -98,7 +98,7 @@ OBJECTS = {
     "Path": lambda: geomag.synthetic.Path.straight(
         (0.0, 0.0), course_deg=30.0, speed_m_s=10.0, interval_s=1.0, samples=5
     ),
-    "SyntheticField": lambda: geomag.synthetic.CrustSpec(waves=4, dipoles=2).draw((0.0, 0.0, 1e4, 1e4), seed=1),
+    "SyntheticField": lambda: geomag.synthetic.Crust(waves=4, dipoles=2).draw((0.0, 0.0, 1e4, 1e4), seed=1),
 }
 
 

@@ -17,7 +17,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import Fix
 from geomag.io import _TIME_NAMES, _VALUE_NAMES, _X_NAMES, _Y_NAMES, _is_number
 
-__all__ = ["Matcher", "Sample", "Step", "read_csv", "read_nmea", "run"]
+__all__ = ["Event", "Matcher", "Sample", "Step", "feed", "read_csv", "read_nmea", "run"]
 
 #: Those of `Fix.to_dict()`.
 _FIELDS = (
@@ -197,10 +197,54 @@ def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
             raise InvalidInputError(f"line {number}: needed an NMEA sentence, got {raw.strip()!r}") from error
 
 
+@dataclass(frozen=True)
+class Event:
+    """What one sample did to a matcher that `feed` feeds: its status, its fix where it looked for one, whether it begins anew."""
+
+    sample: Sample
+    status: str
+    fix: Fix | None
+    restarted: bool = False
+
+
+def feed(matcher: Matcher, samples: Iterable[Sample], *, restart: bool = True) -> Iterator[Event]:
+    """Feed samples to a streaming matcher, one event a sample, at once; begin anew after a fix or when it is lost.
+
+    A matcher is lost when it says so, with a fix or without one: none of its candidates is left, and no further sample would
+    bring one back. An event says where it was begun anew, and the next sample is the first of the new search.
+
+    Parameters
+    ----------
+    matcher : a streaming matcher.
+    samples : from `read_csv`, `read_nmea` or anything else.
+    restart : whether a matcher that has `reset()` begins anew.
+
+    Examples
+    --------
+    >>> import numpy as np, geomag
+    >>> from geomag.stream import Sample, feed
+    >>> x = np.arange(0.0, 3000.0, 50.0)
+    >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
+    >>> samples = [Sample(700 + 40 * k, 900 + 30 * k, 1e4) for k in range(3)]
+    >>> [(e.status, e.restarted) for e in feed(geomag.Iema(grid, 1.0, 200.0), samples)]
+    [('lost', True), ('lost', True), ('lost', True)]
+    """
+    reset = getattr(matcher, "reset", None) if restart else None
+    for sample in samples:
+        step = matcher.update(sample.x, sample.y, sample.value)
+        fix = step if isinstance(step, Fix) else step.fix
+        status = step.status if fix is None else fix.status
+        over = reset is not None and status in ("fixed", "lost")
+        yield Event(sample, status, fix, over)
+        if over and reset is not None:
+            reset()
+
+
 def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO, *, restart: bool = True) -> Fix | None:
     """Feed samples to a streaming matcher and write one JSON line for each; return the last fix that it gave.
 
-    A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix.
+    A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix, and
+    `restarted` where the matcher was lost and begins anew: see `feed`.
 
     Parameters
     ----------
@@ -210,20 +254,17 @@ def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO, *, restart: bo
     restart : whether a matcher that has `reset()` begins anew after a fix or when lost.
     """
     last: Fix | None = None
-    reset = getattr(matcher, "reset", None) if restart else None
-    for sample in samples:
-        step = matcher.update(sample.x, sample.y, sample.value)
-        fix = step if isinstance(step, Fix) else step.fix
-        line = _nothing(step.status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
-        if sample.time_s is not None:
-            line["time_s"] = sample.time_s
+    for event in feed(matcher, samples, restart=restart):
+        fix = event.fix
+        line = _nothing(event.status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
+        if event.sample.time_s is not None:
+            line["time_s"] = event.sample.time_s
+        if event.restarted and event.status == "lost":
+            line["restarted"] = True
         out.write(json.dumps(line, allow_nan=False) + "\n")
         out.flush()
-        if fix is None:
-            continue
-        last = fix
-        if reset is not None and fix.status in ("fixed", "lost"):
-            reset()
+        if fix is not None:
+            last = fix
     return last
 
 

@@ -9,8 +9,6 @@ use crate::lattice::Comparison;
 use crate::matching::similarity::Scoring;
 use crate::monitor::Monitor;
 
-/// Times that the step is made a quarter: to a four-thousandth of the lattice's.
-const LEVELS: usize = 6;
 /// Moves to a better neighbour at one step.
 const MOVES: usize = 4;
 
@@ -28,6 +26,8 @@ pub(super) struct Best {
 pub(super) struct Refined {
     /// Offset, map units.
     pub offset: [f64; 2],
+    /// Heading and scale that it was had under.
+    pub placement: usize,
     /// Score of the candidate itself.
     pub on_lattice: f64,
     /// Score at the refined offset, never more than that.
@@ -43,20 +43,16 @@ pub(super) struct Descent<'a> {
 }
 
 impl Descent<'_> {
-    /// The minimum within one lattice step of a candidate; the candidate itself without `refine`.
-    pub fn from(&self, candidate: Best, refine: bool, monitor: &dyn Monitor) -> Result<Refined> {
+    /// The minimum within one lattice step of an offset, to a `4^levels`-th of the step; the offset itself without any.
+    pub fn from(&self, start: [f64; 2], placement: usize, levels: usize, monitor: &dyn Monitor) -> Result<Refined> {
         let lattice = self.comparison.lattice();
-        let start = lattice.offset(candidate.row, candidate.column);
         let half = lattice.half().map(|h| h.min(1));
         let mut step = lattice.step();
         let mut around = self.about(start, half, step, monitor)?;
-        let mut refined = Refined { offset: start, on_lattice: around.centre(), least: around.centre() };
-        if !refine {
-            return Ok(refined);
-        }
+        let mut refined = Refined { offset: start, placement, on_lattice: around.centre(), least: around.centre() };
         let reach = step;
         let within = |at: [f64; 2]| (0..2).all(|d| (at[d] - start[d]).abs() <= reach[d] * (1.0 + 1e-9));
-        for _ in 0..LEVELS {
+        for _ in 0..levels {
             for _ in 0..MOVES {
                 let Some(way) = around.lower() else { break };
                 let to = [0, 1].map(|d| refined.offset[d] + way[d] * step[d]);

@@ -74,18 +74,51 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     let runner_up = least(&surface, columns, near);
 
     let edge = lattice.on_border(best.row, best.column);
-    let refine = |candidate: Best| -> Result<Refined> {
-        let comparison = compare(candidate.placement, search.interpolation)?;
+    let descend = |placement: usize, from: [f64; 2], levels: usize| -> Result<Refined> {
+        let comparison = compare(placement, search.interpolation)?;
         let descent =
             Descent { scoring: &scoring, comparison: &comparison, mean: field.mean(), distance_m: &distance_m };
-        let border = lattice.on_border(candidate.row, candidate.column);
-        descent.from(candidate, search.refine && !border, monitor)
+        descent.from(from, placement, levels, monitor)
     };
-    let refined = refine(best)?;
+    let refine = |candidate: Best| {
+        let border = lattice.on_border(candidate.row, candidate.column);
+        let levels = if border { 0 } else { search.levels() };
+        descend(candidate.placement, lattice.offset(candidate.row, candidate.column), levels)
+    };
+    // A heading chosen at an offset that is off by half a step makes up for that: offsets refined, the ones beside it are asked.
+    let turn = |mut at: Refined| -> Result<Refined> {
+        if edge || search.levels() < 2 {
+            return Ok(at);
+        }
+        for _ in 0..placements.len() {
+            let mut next = at;
+            for placement in search.beside(at.placement) {
+                let there = descend(placement, at.offset, search.levels())?;
+                let inside = (0..2).all(|d| there.offset[d].abs() <= lattice.half()[d] as f64 * lattice.step()[d]);
+                if inside && there.least < next.least {
+                    next = Refined { on_lattice: at.on_lattice, ..there };
+                }
+            }
+            if next.placement == at.placement {
+                break;
+            }
+            at = next;
+        }
+        Ok(at)
+    };
+    let refined = turn(refine(best)?)?;
     // The runner-up is refined as the best is: one lattice point compared with a minimum would always lose.
-    let rival = runner_up.map(|r| refine(placed(r))).transpose()?;
+    let rival = match runner_up.map(|r| refine(placed(r))).transpose()? {
+        None => None,
+        Some(found) => {
+            let turned = turn(found)?;
+            let apart = (0..2).any(|d| (turned.offset[d] - refined.offset[d]).abs() > away[d] * step[d]);
+            // One that turns into the best is no other place.
+            Some(if apart { turned } else { found })
+        }
+    };
     let offset = refined.offset;
-    let (heading_deg, scale) = placements[best.placement];
+    let (heading_deg, scale) = placements[refined.placement];
 
     let points = place_track(field, track, heading_deg, scale, search.pivot);
     let newest = points[points.len() - 1];

@@ -125,7 +125,33 @@ impl GridSearch {
     }
 }
 
+/// Times that the step of a refinement is made a quarter: to a four-thousandth of the lattice's.
+const LEVELS: usize = 6;
+
 impl GridSearch {
+    /// How far a candidate is refined. A measure without a noise model has no covariance that would need the minimum itself, and its
+    /// scores are compared by their size: they are refined once.
+    pub(super) fn levels(&self) -> usize {
+        match self.criterion {
+            _ if !self.refine => 0,
+            Criterion::Prod | Criterion::Hausdorff { .. } => 1,
+            _ => LEVELS,
+        }
+    }
+
+    /// Placements next to one: the headings above and below it, the scales above and below it.
+    pub(super) fn beside(&self, placement: usize) -> Vec<usize> {
+        let scales = self.scale.len();
+        let (heading, scale) = (placement / scales, placement % scales);
+        let next = |list: &[f64], at: usize, sign: f64| {
+            let beyond = (0..list.len()).filter(|&i| sign * (list[i] - list[at]) > 0.0);
+            beyond.min_by(|&a, &b| (sign * list[a]).total_cmp(&(sign * list[b])))
+        };
+        let headings = [-1.0, 1.0].into_iter().filter_map(|sign| next(&self.heading_deg, heading, sign));
+        let along_scale = [-1.0, 1.0].into_iter().filter_map(|sign| next(&self.scale, scale, sign));
+        headings.map(|h| h * scales + scale).chain(along_scale.map(|s| heading * scales + s)).collect()
+    }
+
     /// p-value of the residuals where the caller has said what their standard deviation is: chi-square at the minimum of
     /// the linearised fit, which the quadratic through lattice scores only comes near to.
     pub(super) fn goodness(&self, least_squares: Option<(f64, usize)>) -> Option<f64> {
