@@ -71,6 +71,15 @@ STREAMS = {
         lambda s, k: s.step(10.0, 5.0, 53.13, READINGS[k]),
         [lambda s: s.step(-1.0, 5.0, 0.0), lambda s: s.step(1.0, 1e12, 0.0, 1.0), lambda s: s.step(1.0, 5.0, 0.0, [1.0, 2.0])],
     ),
+    "Navigator": (
+        lambda: geomag.Navigator(GRID, position_sigma_m=100.0),
+        lambda s, k: s.step(float(k), INDICATED[0][k], INDICATED[1][k], (40.0, 30.0), 53.13, READINGS[k]),
+        [
+            lambda s: s.step(1e9, np.nan, 0.0, (0.0, 0.0), 0.0, 1.0),
+            lambda s: s.step(1e9, 0.0, 1e30, (0.0, 0.0), 0.0, 1.0),
+            lambda s: s.step(1e9, 0.0, 0.0, (0.0, 0.0), 0.0, np.inf),
+        ],
+    ),
     "InsFeedback": (
         geomag.InsFeedback,
         feedback,
