@@ -20,7 +20,9 @@ def grid():
 
 @pytest.fixture(scope="module")
 def degrees():
-    return geomag.GridMap(rough(np.random.default_rng(0), 80, 80, smooth=4.0), 10 + X * 1e-5, 50 + X * 1e-5, geographic=True)
+    return geomag.GridMap(
+        rough(np.random.default_rng(0), 80, 80, smooth=4.0), 10 + X * 1e-5, 50 + X * 1e-5, geographic=True
+    )
 
 
 #: name -> a stream at its start on a map.

@@ -243,7 +243,9 @@ def test_every_layer_turns_with_the_axes():
         for again in (other.with_error_model(**other.error_model), pickle.loads(pickle.dumps(other))):
             np.testing.assert_array_equal(again.error_model["distance_m"], distance)
         np.testing.assert_array_equal(
-            pickle.loads(pickle.dumps(other)).with_error_model(**law, distance_m=distance[turn]).error_model["distance_m"],
+            pickle.loads(pickle.dumps(other))
+            .with_error_model(**law, distance_m=distance[turn])
+            .error_model["distance_m"],
             distance,
         )
     with pytest.raises(geomag.InvalidInputError, match="'given' or 'values'"):

@@ -76,14 +76,20 @@ def test_a_lost_posterior_begins_anew_and_says_so(scene):
     rng = np.random.default_rng(3)
     wrong = [Sample(track.x[k], track.y[k], float(rng.uniform(-1e4, 1e4))) for k in range(25)]
     right = [Sample(*s) for s in zip(track.x, track.y, track.values, strict=True)]
-    out = io.StringIO()
-    matcher = geomag.PosteriorMatcher(grid, half_width=2000.0, sigma=5.0, tolerance_m=500.0)
-    run(matcher, wrong + right, out)
-    lines = [json.loads(line) for line in out.getvalue().splitlines()]
-    lost = [line for line in lines if line["status"] == "lost"]
-    assert lost and all(line["restarted"] for line in lost)
-    assert not any("restarted" in line for line in lines if line["status"] != "lost")
-    assert any(line["ok"] for line in lines[25:])
+
+    def lines(samples):
+        out = io.StringIO()
+        run(geomag.PosteriorMatcher(grid, half_width=2000.0, sigma=5.0, tolerance_m=500.0), samples, out)
+        return [json.loads(line) for line in out.getvalue().splitlines()]
+
+    said = lines(wrong)
+    lost = [k for k, line in enumerate(said) if line["status"] == "lost"]
+    assert lost and all(said[k]["restarted"] for k in lost)
+    assert not any("restarted" in line for line in said if line["status"] != "lost")
+    # After the restart it is as if the nonsense had never been.
+    fresh = lines(right)
+    assert any(line["ok"] for line in fresh)
+    assert lines(wrong[: lost[-1] + 1] + right)[lost[-1] + 1 :] == fresh
 
 
 def test_nmea_gives_the_samples():

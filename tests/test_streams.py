@@ -47,17 +47,29 @@ STREAMS = {
     "Iema": (
         lambda: geomag.Iema(GRID, sigma=2.0, half_width=200.0, max_misses=2),
         sample,
-        [lambda s: s.update(np.nan, 0.0, 1.0), lambda s: s.update(0.0, 1e30, 1.0), lambda s: s.update(0.0, 0.0, np.inf)],
+        [
+            lambda s: s.update(np.nan, 0.0, 1.0),
+            lambda s: s.update(0.0, 1e30, 1.0),
+            lambda s: s.update(0.0, 0.0, np.inf),
+        ],
     ),
     "PosteriorMatcher": (
         lambda: geomag.PosteriorMatcher(GRID, half_width=200.0, sigma=0.5, max_samples=12),
         sample,
-        [lambda s: s.update(np.nan, 0.0, 1.0), lambda s: s.update(0.0, 1e30, 1.0), lambda s: s.update(0.0, 0.0, np.inf)],
+        [
+            lambda s: s.update(np.nan, 0.0, 1.0),
+            lambda s: s.update(0.0, 1e30, 1.0),
+            lambda s: s.update(0.0, 0.0, np.inf),
+        ],
     ),
     "SlidingContour": (
         lambda: geomag.SlidingContour(GRID, length=6, transform="translation", radius_m=400.0),
         sample,
-        [lambda s: s.update(np.nan, 0.0, 1.0), lambda s: s.update(0.0, 1e30, 1.0), lambda s: s.update(0.0, 0.0, np.inf)],
+        [
+            lambda s: s.update(np.nan, 0.0, 1.0),
+            lambda s: s.update(0.0, 1e30, 1.0),
+            lambda s: s.update(0.0, 0.0, np.inf),
+        ],
     ),
     "DeltaModulator": (
         lambda: geomag.DeltaModulator(2.0),
@@ -69,7 +81,11 @@ STREAMS = {
             GRID, start=(830.0, 1010.0), covariance_m2=900.0, reading_sigma=1.0, speed_sigma_m_s=0.2, bias_sigma=1.0
         ),
         lambda s, k: s.step(10.0, 5.0, 53.13, READINGS[k]),
-        [lambda s: s.step(-1.0, 5.0, 0.0), lambda s: s.step(1.0, 1e12, 0.0, 1.0), lambda s: s.step(1.0, 5.0, 0.0, [1.0, 2.0])],
+        [
+            lambda s: s.step(-1.0, 5.0, 0.0),
+            lambda s: s.step(1.0, 1e12, 0.0, 1.0),
+            lambda s: s.step(1.0, 5.0, 0.0, [1.0, 2.0]),
+        ],
     ),
     "Navigator": (
         lambda: geomag.Navigator(GRID, position_sigma_m=100.0),
