@@ -511,4 +511,4 @@ def test_without_refinement_the_covariance_holds_the_step():
     k = np.arange(40.0)
     track = geomag.Track(6000 + 220 * k - 130, 7000 + 170 * k, grid.sample(6000 + 220 * k, 7000 + 170 * k))
     fix = geomag.match_grid(grid, track, half_width=800.0, sigma=50.0, refine=False)
-    assert fix.covariance_m2[0, 0] > 400.0**2 / 12 and fix.covariance_m2[1, 1] > 400.0**2 / 12
+    assert np.diag(fix.covariance_m2).min() > 400.0**2 / 12

@@ -84,7 +84,8 @@ def test_a_lost_posterior_begins_anew_and_says_so(scene):
 
     said = lines(wrong)
     lost = [k for k, line in enumerate(said) if line["status"] == "lost"]
-    assert lost and all(said[k]["restarted"] for k in lost)
+    assert lost
+    assert all(said[k]["restarted"] for k in lost)
     assert not any("restarted" in line for line in said if line["status"] != "lost")
     # After the restart it is as if the nonsense had never been.
     fresh = lines(right)

@@ -4,24 +4,26 @@ use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
+use geomag_core::fix::Fix;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::closest::closest_contour_point;
 use geomag_core::matching::contour::{ContourOptions, match_channels_monitored};
 use geomag_core::matching::refine::RefineOptions;
 use geomag_core::matching::scene::{Channel, Priors};
-use geomag_core::matching::sliding::{AveragedPoint, SlidingState};
+use geomag_core::matching::sliding::{AveragedPoint, SlidingContour, SlidingState};
 use geomag_core::matching::starts::{DEFAULT_MAX_CANDIDATES, Starts};
+use geomag_core::matching::stream::Stream;
 use geomag_core::matching::transform::{Transform, TransformKind};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyTuple};
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::arrays::{broadcast, matrix, optional_vector, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::{PyGridMap, interpolation};
 use crate::lock::Shared;
+use crate::long_call;
 use crate::track::PyTrack;
-use crate::{long_call, state};
 
 fn grid_map(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Arc<GridMap>> {
     match object.cast::<PyGridMap>() {
@@ -391,8 +393,7 @@ fn work(options: &ContourOptions, samples: usize, channels: usize) -> u64 {
 /// ('fixed', [200, -100], 9)
 #[pyclass(frozen, name = "SlidingContour", module = "geomag")]
 pub struct PySlidingContour {
-    inner: Shared<SlidingState>,
-    map: Arc<GridMap>,
+    inner: Shared<SlidingContour>,
     grid: Py<PyAny>,
 }
 
@@ -425,13 +426,14 @@ impl PySlidingContour {
     ) -> PyRes<Self> {
         let map = grid_map("grid", grid)?;
         let options = contour_options(&map, options)?;
-        let inner = Shared::new(SlidingState::new(length, sigma, floor_m, options)?);
-        Ok(Self { inner, map, grid: grid.clone().unbind() })
+        let state = SlidingState::new(length, sigma, floor_m, options)?;
+        Ok(Self { inner: Shared::new(SlidingContour::new(map, state)), grid: grid.clone().unbind() })
     }
 
     /// Take one sample: indicated position (map units) and measured value. Returns a `Fix`; `searching` until full.
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyFix> {
-        Ok(self.inner.detached(py, |s| s.update(&self.map, x, y, value))?.into())
+        let step = self.inner.take(py, [x, y], value)?;
+        Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
     }
 
     /// Take the samples of a track one by one. Returns a list of `Fix`.
@@ -440,53 +442,59 @@ impl PySlidingContour {
         // Some hundred iterations of a few microseconds a sample.
         let units = track.len() as u64 * 500_000;
         let fixes = long_call::run(py, units, None, None, |monitor| {
-            let one = |state: &mut SlidingState, k: usize| {
+            let one = |window: &mut SlidingContour, k: usize| {
                 monitor.advance(k as u64, track.len() as u64)?;
-                let [x, y] = track.point(k);
-                state.update_monitored(&self.map, x, y, track.values()[k], monitor)
+                window.take(track.point(k), track.values()[k], monitor)
             };
-            self.inner.alone(|state| (0..track.len()).map(|k| one(state, k)).collect::<Result<Vec<_>, _>>())
+            let all =
+                |window: &mut SlidingContour| (0..track.len()).map(|k| one(window, k)).collect::<Result<Vec<_>, _>>();
+            self.inner.alone(all)
         })?;
-        Ok(fixes.into_iter().map(PyFix::from).collect())
+        Ok(fixes.into_iter().filter_map(|step| step.fix).map(PyFix::from).collect())
+    }
+
+    /// Begin again: an empty window.
+    fn reset(&self, py: Python<'_>) -> PyRes<()> {
+        self.inner.begin_again(py)
     }
 
     /// The sample that left the window last: dict of number, x, y (weighted mean) and estimates; None before.
     #[getter]
     fn settled<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
-        self.inner.with(py, |s| s.settled()).map(|p| point_dict(py, &p)).transpose()
+        self.inner.with(py, |s| s.state().settled()).map(|p| point_dict(py, &p)).transpose()
     }
 
     /// Samples in the window, oldest first, each a dict as `settled`.
     #[getter]
     fn averaged<'py>(&self, py: Python<'py>) -> PyRes<Vec<Bound<'py, PyDict>>> {
-        self.inner.with(py, |s| s.averaged(&self.map)).iter().map(|p| point_dict(py, p)).collect()
+        self.inner.with(py, |s| s.averaged()).iter().map(|p| point_dict(py, p)).collect()
     }
 
     /// Samples in a full window.
     #[getter]
     fn length(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |s| s.length())
+        self.inner.with(py, |s| s.state().length())
     }
 
     /// Samples taken so far.
     #[getter]
     fn count(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |s| s.count())
+        self.inner.seen(py)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |s| state::save(s))?);
+        let bytes = slf.get().inner.saved(py)?;
         Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
-        let inner = Shared::new(state::load(bytes)?);
-        Ok(Self { inner, map: grid_map("grid", grid)?, grid: grid.clone().unbind() })
+        let inner = Shared::new(SlidingContour::restore(grid_map("grid", grid)?, bytes)?);
+        Ok(Self { inner, grid: grid.clone().unbind() })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        self.inner.with(py, |s| format!("SlidingContour(length {}, {} samples taken)", s.length(), s.count()))
+        self.inner.with(py, |s| format!("SlidingContour(length {}, {} samples taken)", s.state().length(), s.seen()))
     }
 }

@@ -6,7 +6,7 @@ use geomag_core::field::Field;
 use geomag_core::lattice::DEFAULT_MAX_CANDIDATES;
 use geomag_core::matching::iema::{Iema, IemaOptions, IemaStep, Unknown};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
+use pyo3::types::PyTuple;
 
 use crate::arrays::{pair, shaped};
 use crate::error::{PyRes, invalid};
@@ -223,7 +223,7 @@ impl PyIema {
     /// Samples seen since the start or the last reset.
     #[getter]
     fn n_samples(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |iema| iema.n_samples())
+        self.inner.seen(py)
     }
 
     /// Candidates left.
@@ -234,7 +234,7 @@ impl PyIema {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |iema| iema.save())?);
+        let bytes = slf.get().inner.saved(py)?;
         Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
     }
 

@@ -216,7 +216,7 @@ impl PyInsFeedback {
     /// State: position error east, north (m), velocity error east, north (m/s), heading error (rad).
     #[getter]
     fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.with(py, |f| f.filter().state().as_slice().to_vec()), &[5])
+        shaped(py, self.inner.with(py, |f| f.filter().state().to_vec()), &[5])
     }
 
     /// Covariance of the state, (5, 5).

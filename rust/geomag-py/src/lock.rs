@@ -7,8 +7,12 @@
 use std::sync::{Mutex, PoisonError};
 use std::thread::ThreadId;
 
+use geomag_core::fix::Fix;
+use geomag_core::matching::stream::{Step, Stream};
+use geomag_core::monitor::Quiet;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
+use pyo3::types::PyBytes;
 
 use crate::error::{PyRes, invalid};
 
@@ -35,6 +39,34 @@ impl<T: Send> Shared<T> {
     /// For whoever has let the interpreter go already.
     pub fn alone<R>(&self, work: impl FnOnce(&mut T) -> R) -> R {
         work(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+/// What every stream of matching shares in Python.
+impl<S: Stream> Shared<S> {
+    /// Takes one sample; other Python threads run meanwhile.
+    pub fn take(&self, py: Python<'_>, place: [f64; 2], value: f64) -> PyRes<Step> {
+        Ok(self.detached(py, |s| s.take(place, value, &Quiet))?)
+    }
+
+    /// The answer on the samples held.
+    pub fn answer(&self, py: Python<'_>) -> PyRes<Fix> {
+        Ok(self.detached(py, |s| s.answer())?)
+    }
+
+    /// Begins again.
+    pub fn begin_again(&self, py: Python<'_>) -> PyRes<()> {
+        Ok(self.with(py, |s| s.begin_again())?)
+    }
+
+    /// Samples seen.
+    pub fn seen(&self, py: Python<'_>) -> usize {
+        self.with(py, |s| s.seen())
+    }
+
+    /// The state as bytes.
+    pub fn saved<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &self.with(py, |s| s.saved())?))
     }
 }
 

@@ -5,9 +5,10 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
+use geomag_core::matching::stream::feed;
 use geomag_core::track::Track;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
+use pyo3::types::PyTuple;
 
 use crate::arrays::{pair, shaped, vector};
 use crate::error::{PyRes, invalid};
@@ -381,16 +382,7 @@ impl PyPosteriorMatcher {
         let total = track.len() as u64;
         let units = total.saturating_mul(self.inner.with(py, |m| m.n_feasible()) as u64);
         let fix = long_call::run(py, units, None, None, |monitor| {
-            self.inner.alone(|matcher| {
-                for k in 0..track.len() {
-                    monitor.advance(k as u64, total)?;
-                    let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
-                    if let Some(fix) = step.fix.filter(geomag_core::fix::Fix::ok) {
-                        return Ok(fix);
-                    }
-                }
-                matcher.fix()
-            })
+            self.inner.alone(|matcher| feed(matcher, &track, false, monitor))
         })?;
         Ok(fix.into())
     }
@@ -399,19 +391,18 @@ impl PyPosteriorMatcher {
     ///
     /// Raises `TooFewSamplesError` before there are enough samples.
     fn fix(&self, py: Python<'_>) -> PyRes<PyFix> {
-        let fix = self.inner.detached(py, |m| m.fix())?;
-        Ok(fix.into())
+        Ok(self.inner.answer(py)?.into())
     }
 
     /// Forgets all samples; every candidate is back.
     fn reset(&self, py: Python<'_>) -> PyRes<()> {
-        Ok(self.inner.with(py, PosteriorMatcher::reset)?)
+        self.inner.begin_again(py)
     }
 
     /// Samples seen.
     #[getter]
     fn n_samples(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |m| m.n_samples())
+        self.inner.seen(py)
     }
 
     /// Candidates left.
@@ -422,7 +413,7 @@ impl PyPosteriorMatcher {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, this) = (slf.py(), slf.get());
-        let state = PyBytes::new(py, &this.inner.with(py, |m| m.save())?);
+        let state = this.inner.saved(py)?;
         let arguments = (this.grid.clone_ref(py), state).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }

@@ -72,6 +72,11 @@ impl PyDeltaModulator {
         Ok(self.inner.with(py, |m| m.update(value))?.chosen)
     }
 
+    /// Begin again: no value seen.
+    fn reset(&self, py: Python<'_>) {
+        self.inner.with(py, DeltaModulator::reset);
+    }
+
     /// Quantum, value units.
     #[getter]
     fn quantum(&self, py: Python<'_>) -> f64 {

@@ -110,6 +110,14 @@ impl Estimate {
         Ok(())
     }
 
+    /// From a mean and a covariance that may be singular: what is known for certain has no variance.
+    pub(super) fn known(mean: DVector<f64>, covariance: &DMatrix<f64>) -> Result<Self> {
+        let factor = noise_factor("covariance", mean.len(), covariance.as_slice())?;
+        let estimate = Self { mean, factor, regularisations: 0 };
+        estimate.check()?;
+        Ok(estimate)
+    }
+
     /// Takes a new mean and covariance of the same size; regularisations go on being counted.
     pub(super) fn set(&mut self, mean: &[f64], covariance: &[f64]) -> Result<()> {
         if mean.len() != self.len() {
@@ -240,6 +248,37 @@ impl Estimate {
             self.regularisations += u64::from(raised);
         }
         Ok(innovation)
+    }
+
+    /// Moves the state to `mean` with the matrix of a linear (or linearised) motion and the factor of its noise.
+    pub(super) fn move_linear(
+        &mut self,
+        mean: DVector<f64>,
+        matrix: &DMatrix<f64>,
+        noise: &DMatrix<f64>,
+    ) -> Result<()> {
+        let n = self.len();
+        let mut columns = DMatrix::zeros(n, 2 * n);
+        columns.view_mut((0, 0), (n, n)).copy_from(&(matrix * &self.factor));
+        columns.view_mut((0, n), (n, n)).copy_from(noise);
+        self.replace(mean, &columns)
+    }
+
+    /// Corrects the state with a measurement whose matrix (or Jacobian) and factor of noise are given: the one linear update of all
+    /// filters.
+    pub(super) fn correct_linear(
+        &mut self,
+        residual: DVector<f64>,
+        matrix: &DMatrix<f64>,
+        noise: &DMatrix<f64>,
+        gate: Option<f64>,
+    ) -> Result<Innovation> {
+        let (m, n) = (residual.len(), self.len());
+        let mut joint = DMatrix::zeros(m + n, n + m);
+        joint.view_mut((0, 0), (m, n)).copy_from(&(matrix * &self.factor));
+        joint.view_mut((m, 0), (n, n)).copy_from(&self.factor);
+        joint.view_mut((0, n), (m, m)).copy_from(noise);
+        self.correct(residual, &joint, gate)
     }
 
     /// The textbook form, for weights under which the columns of [`Estimate::correct`] would be imaginary.

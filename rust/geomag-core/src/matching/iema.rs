@@ -15,6 +15,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
 use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
+use crate::matching::stream::{Step, Stream};
 use crate::monitor::{Monitor, Quiet};
 use crate::state::Saved;
 use crate::track::Track;
@@ -163,6 +164,8 @@ pub struct Iema {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct State {
     n_samples: usize,
+    /// Indicated position of the newest sample.
+    newest: Option<[f64; 2]>,
     /// `None` until the first sample: all are feasible and untested, and need no memory yet.
     feasible: Option<Vec<Candidate>>,
 }
@@ -179,6 +182,9 @@ impl Saved for Saving {
 
     fn check(&self) -> Result<()> {
         self.options.check()?;
+        if let Some(newest) = self.state.newest {
+            require_place("newest", false, newest)?;
+        }
         let Some(list) = &self.state.feasible else {
             return match self.state.n_samples {
                 0 => Ok(()),
@@ -208,7 +214,14 @@ impl Iema {
         let lattice =
             OffsetLattice::new(options.half_width, options.step.unwrap_or(field.spacing()), options.max_candidates)?;
         let classes = field.as_grid().and_then(|grid| Classes::of(grid, lattice.step()));
-        Ok(Self { field, options, lattice, classes, state: State { n_samples: 0, feasible: None }, shifts: Vec::new() })
+        Ok(Self {
+            field,
+            options,
+            lattice,
+            classes,
+            state: State { n_samples: 0, newest: None, feasible: None },
+            shifts: Vec::new(),
+        })
     }
 
     /// The options.
@@ -257,7 +270,7 @@ impl Iema {
 
     /// Begins again: every candidate feasible, no sample seen.
     pub fn reset(&mut self) {
-        self.state = State { n_samples: 0, feasible: None };
+        self.state = State { n_samples: 0, newest: None, feasible: None };
     }
 
     /// Takes one sample: indicated position (map units) and measured value.
@@ -286,6 +299,7 @@ impl Iema {
         };
         self.state.feasible = Some(feasible);
         self.state.n_samples += 1;
+        self.state.newest = Some([x, y]);
         Ok(self.summary([x, y]))
     }
 
@@ -569,5 +583,36 @@ impl<'a> Sampler<'a> {
                 field.value(x + ox, y + oy)
             }
         }
+    }
+}
+
+impl Stream for Iema {
+    fn take(&mut self, [x, y]: [f64; 2], value: f64, _: &dyn Monitor) -> Result<Step> {
+        let step = self.update(x, y, value)?;
+        Ok(Step { status: step.status, fix: Some(step.fix(&*self.field)) })
+    }
+
+    fn answer(&self) -> Result<Fix> {
+        match self.state.newest {
+            None => Err(Error::TooFewSamples { what: "IEMA".into(), needed: 1, got: 0 }),
+            Some(indicated) => Ok(self.summary(indicated).fix(&*self.field)),
+        }
+    }
+
+    fn begin_again(&mut self) -> Result<()> {
+        self.reset();
+        Ok(())
+    }
+
+    fn seen(&self) -> usize {
+        self.state.n_samples
+    }
+
+    fn holds(&self) -> Option<usize> {
+        None
+    }
+
+    fn saved(&self) -> Result<Vec<u8>> {
+        self.save()
     }
 }

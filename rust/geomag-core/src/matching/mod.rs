@@ -11,5 +11,6 @@ pub mod sequence;
 pub mod similarity;
 pub mod sliding;
 pub mod starts;
+pub mod stream;
 pub mod transform;
 pub mod tuning;

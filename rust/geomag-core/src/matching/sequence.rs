@@ -84,6 +84,11 @@ impl DeltaModulator {
         Ok(DeltaStep { number, code: Some(code), chosen })
     }
 
+    /// Begins again: no value seen.
+    pub fn reset(&mut self) {
+        *self = Self { quantum: self.quantum, staircase: None, code: None, count: 0 };
+    }
+
     /// The quantum.
     pub fn quantum(&self) -> f64 {
         self.quantum

@@ -1,6 +1,7 @@
 //! Contour matching over a sliding window: a fix a sample instead of a fix a batch [ICCP-G].
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -14,6 +15,7 @@ use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
 use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
 use crate::matching::starts::Starts;
+use crate::matching::stream::{Step, Stream};
 use crate::matching::transform::Transform;
 use crate::monitor::{Monitor, Quiet};
 use crate::state::Saved;
@@ -281,5 +283,70 @@ fn averaged(map: &GridMap, e: &Entry) -> AveragedPoint {
         x: map.wrap_x(e.x + mean(0) / east),
         y: e.y + mean(1) / north,
         estimates: e.estimates,
+    }
+}
+
+/// A sliding window with its map: what is fed sample by sample.
+#[derive(Debug, Clone)]
+pub struct SlidingContour {
+    map: Arc<GridMap>,
+    state: SlidingState,
+    newest: Option<Fix>,
+}
+
+impl SlidingContour {
+    /// A window on a map.
+    pub fn new(map: Arc<GridMap>, state: SlidingState) -> Self {
+        Self { map, state, newest: None }
+    }
+
+    /// A window that goes on where [`Stream::saved`] left off.
+    ///
+    /// # Errors
+    /// [`Error::State`].
+    pub fn restore(map: Arc<GridMap>, bytes: &[u8]) -> Result<Self> {
+        Ok(Self::new(map, crate::state::load(bytes)?))
+    }
+
+    /// What it remembers.
+    pub fn state(&self) -> &SlidingState {
+        &self.state
+    }
+
+    /// The samples of the window: see [`SlidingState::averaged`].
+    pub fn averaged(&self) -> Vec<AveragedPoint> {
+        self.state.averaged(&self.map)
+    }
+}
+
+impl Stream for SlidingContour {
+    fn take(&mut self, [x, y]: [f64; 2], value: f64, monitor: &dyn Monitor) -> Result<Step> {
+        let fix = self.state.update_monitored(&self.map, x, y, value, monitor)?;
+        self.newest = Some(fix.clone());
+        Ok(Step { status: fix.status, fix: Some(fix) })
+    }
+
+    fn answer(&self) -> Result<Fix> {
+        let none = || Error::TooFewSamples { what: "sliding window".into(), needed: 1, got: 0 };
+        self.newest.clone().ok_or_else(none)
+    }
+
+    fn begin_again(&mut self) -> Result<()> {
+        let s = &self.state;
+        self.state = SlidingState::new(s.length, s.sigma, s.floor_m, s.options.clone())?;
+        self.newest = None;
+        Ok(())
+    }
+
+    fn seen(&self) -> usize {
+        self.state.count
+    }
+
+    fn holds(&self) -> Option<usize> {
+        Some(self.state.length)
+    }
+
+    fn saved(&self) -> Result<Vec<u8>> {
+        crate::state::save(&self.state)
     }
 }

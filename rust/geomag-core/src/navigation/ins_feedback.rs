@@ -157,7 +157,7 @@ impl InsFeedback {
             geographic,
             // Chi-square with two degrees of freedom is exponential: its quantile is in closed form.
             gate: -2.0 * (1.0 - gate_probability).ln(),
-            filter: ErrorStateFilter::new(DVector::zeros(5), covariance)?,
+            filter: ErrorStateFilter::new(DVector::zeros(5), &covariance)?,
             last: None,
             accepted: 0,
             refused: 0,

@@ -44,6 +44,7 @@ use std::sync::Arc;
 use crate::error::Result;
 use crate::field::Field;
 use crate::fix::Fix;
+use crate::matching::stream::feed;
 use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
 use problem::{Interruption, Problem};
@@ -186,14 +187,7 @@ pub fn stream_many(
             .par_iter()
             .map(|track| {
                 let mut matcher = PosteriorMatcher::new(field.clone(), sigma, options.clone(), track.len().max(3))?;
-                for k in 0..track.len() {
-                    here.advance(0, 0)?;
-                    let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
-                    if let Some(fix) = step.fix.filter(Fix::ok) {
-                        return Ok(fix);
-                    }
-                }
-                matcher.fix()
+                feed(&mut matcher, track, false, &here)
             })
             .collect();
         fixes.extend(some?);

@@ -20,6 +20,8 @@ use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::frame::displacement_m;
+use crate::matching::stream::{Step, Stream};
+use crate::monitor::Monitor;
 use crate::state::{self, Saved};
 use crate::track::Track;
 
@@ -221,12 +223,12 @@ impl PosteriorMatcher {
         require_place("sample", self.field.geographic(), [x, y])?;
         // All or nothing: a sample that is refused on the way leaves the matcher as it was.
         let mut next = self.clone();
-        let step = next.take(x, y, value)?;
+        let step = next.take_sample(x, y, value)?;
         *self = next;
         Ok(step)
     }
 
-    fn take(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
+    fn take_sample(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
         let s = &mut self.state;
         if s.x.len() == s.max_samples {
             s.x.remove(0);
@@ -516,6 +518,33 @@ impl PosteriorMatcher {
             }
             found
         });
+    }
+}
+
+impl Stream for PosteriorMatcher {
+    fn take(&mut self, [x, y]: [f64; 2], value: f64, _: &dyn Monitor) -> Result<Step> {
+        let step = self.update(x, y, value)?;
+        Ok(Step { status: step.status, fix: step.fix })
+    }
+
+    fn answer(&self) -> Result<Fix> {
+        self.fix()
+    }
+
+    fn begin_again(&mut self) -> Result<()> {
+        self.reset()
+    }
+
+    fn seen(&self) -> usize {
+        self.n_samples()
+    }
+
+    fn holds(&self) -> Option<usize> {
+        Some(self.state.max_samples)
+    }
+
+    fn saved(&self) -> Result<Vec<u8>> {
+        self.save()
     }
 }
 
