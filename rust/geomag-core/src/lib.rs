@@ -11,6 +11,7 @@
 
 pub mod bounds;
 pub mod campaign;
+pub mod compensation;
 pub mod constants;
 pub mod error;
 pub mod field;
@@ -22,6 +23,7 @@ pub mod harmonic;
 pub mod information;
 pub mod kalman;
 pub mod lattice;
+pub mod main_field;
 pub mod map_error;
 pub mod matching;
 pub mod monitor;

@@ -6,7 +6,6 @@ use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
 use geomag_core::matching::stream::feed;
-use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
@@ -142,7 +141,7 @@ pub fn match_posterior(
         position_sigma_m, nu, min_overlap, min_goodness, max_candidates, surface
     };
     let more = extras(more)?;
-    let track = &track.get().inner;
+    let track = &track.get().on(py, grid)?;
     let units = posterior::work(&*map, track, &options)?.saturating_mul(more.len() as u64 + 1);
     let fix = long_call::run(py, units, None, None, |monitor| {
         let mut channels = vec![Channel { field: &*map, values: track.values(), sigma }];
@@ -233,7 +232,7 @@ pub fn match_posterior_many(
         half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
         position_sigma_m, nu, min_overlap, min_goodness, max_candidates
     };
-    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
     let units = (tracks.len() as u64).saturating_mul(4_000_000);
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
         if streaming {
@@ -562,7 +561,7 @@ pub fn predict_many(
     let options = options! {
         half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu
     };
-    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
     if flights > MAX_FLIGHTS {
         return Err(invalid("flights", &format!("at most {MAX_FLIGHTS}"), flights));
     }

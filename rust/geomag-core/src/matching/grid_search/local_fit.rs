@@ -4,7 +4,6 @@ use nalgebra::{DMatrix, DVector};
 
 use super::options::GridSearch;
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::lattice::OffsetLattice;
 use crate::matching::similarity::Criterion;
 use crate::track::Track;
@@ -55,7 +54,7 @@ impl LocalFit {
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
             }
-            let [e, n] = displacement_m(field.geographic(), newest, *p);
+            let [e, n] = field.displacement_m(newest, *p);
             let mut row = vec![east, north];
             if turning {
                 row.push(east * n - north * e);
