@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import geomag
 import geomag.synthetic
+from geomag.compensation import Compensator
 
 X = np.arange(0.0, 4000.0, 50.0)
 GRID = geomag.GridMap(rough(np.random.default_rng(5), 80, 80, smooth=4.0), X, X)
@@ -75,6 +76,11 @@ STREAMS = {
         lambda: geomag.DeltaModulator(2.0),
         lambda s, k: s.update(READINGS[k]),
         [lambda s: s.update(np.nan)],
+    ),
+    "Compensator": (
+        lambda: Compensator([100.0, 20.0] + [0.5] * 16, max_gap_s=2.0),
+        lambda s, k: s.update(float(k), [30_000.0 + 10 * k, 500.0 * k, 40_000.0], 50_060.0),
+        [lambda s: s.update(np.nan, [1.0, 2.0, 3.0], 1.0), lambda s: s.update(1e9, [1.0, 2.0], 1.0)],
     ),
     "FieldNavigator": (
         lambda: geomag.FieldNavigator(

@@ -19,12 +19,8 @@ use crate::bounds::{require_place, require_places};
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
-<<<<<<< HEAD
-use crate::frame::displacement_m;
 use crate::matching::stream::{Step, Stream};
 use crate::monitor::Monitor;
-=======
->>>>>>> house
 use crate::state::{self, Saved};
 use crate::track::Track;
 
