@@ -2,13 +2,15 @@
 //!
 //! The lattice finds the basin, not the minimum: on a map as coarse as its features a quadratic through scores a cell apart
 //! misses it by a good part of a cell, and a covariance taken there belongs to another place. So the nine scores about the
-//! place are taken again and again, a quarter as far apart each time, with the measure and the interpolation of the search.
+//! place are taken again and again, an eighth as far apart each time, with the measure and the interpolation of the search.
 
 use crate::error::Result;
 use crate::lattice::Comparison;
 use crate::matching::similarity::Scoring;
 use crate::monitor::Monitor;
 
+/// The next step as a share of the last.
+const SHRINK: f64 = 0.125;
 /// Moves to a better neighbour at one step.
 const MOVES: usize = 4;
 
@@ -43,7 +45,7 @@ pub(super) struct Descent<'a> {
 }
 
 impl Descent<'_> {
-    /// The minimum within one lattice step of an offset, to a `4^levels`-th of the step; the offset itself without any.
+    /// The minimum within one lattice step of an offset, to an `8^levels`-th of the step; the offset itself without any.
     pub fn from(&self, start: [f64; 2], placement: usize, levels: usize, monitor: &dyn Monitor) -> Result<Refined> {
         let lattice = self.comparison.lattice();
         let half = lattice.half().map(|h| h.min(1));
@@ -64,7 +66,7 @@ impl Descent<'_> {
             }
             let vertex = around.vertex();
             let to = [0, 1].map(|d| refined.offset[d] + vertex[d] * step[d]);
-            step = step.map(|s| 0.25 * s);
+            step = step.map(|s| SHRINK * s);
             if vertex != [0.0; 2] && within(to) {
                 let there = self.about(to, half, step, monitor)?;
                 if there.centre() < refined.least {

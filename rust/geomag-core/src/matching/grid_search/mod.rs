@@ -17,6 +17,11 @@ use crate::track::Track;
 use descent::{Best, Descent, Refined};
 use local_fit::LocalFit;
 
+/// Levels of refinement that tell whether a runner-up may be as good as the best.
+const ROUGHLY: usize = 2;
+/// Share of its lattice score below which a runner-up is refined to the end.
+const FALL: f64 = 0.25;
+
 /// Residuals less likely than this under the caller's own sigma are no fit, however much worse every other place is.
 const REJECT: f64 = 1e-6;
 
@@ -80,9 +85,9 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
             Descent { scoring: &scoring, comparison: &comparison, mean: field.mean(), distance_m: &distance_m };
         descent.from(from, placement, levels, monitor)
     };
-    let refine = |candidate: Best| {
+    let refine = |candidate: Best, most: usize| {
         let border = lattice.on_border(candidate.row, candidate.column);
-        let levels = if border { 0 } else { search.levels() };
+        let levels = if border { 0 } else { search.levels().min(most) };
         descend(candidate.placement, lattice.offset(candidate.row, candidate.column), levels)
     };
     // A heading chosen at an offset that is off by half a step makes up for that: offsets refined, the ones beside it are asked.
@@ -106,15 +111,22 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         }
         Ok(at)
     };
-    let refined = turn(refine(best)?)?;
+    let refined = turn(refine(best, usize::MAX)?)?;
     // The runner-up is refined as the best is: one lattice point compared with a minimum would always lose.
-    let rival = match runner_up.map(|r| refine(placed(r))).transpose()? {
+    // Only roughly, unless it falls by much: then it may be as good.
+    let rival = match runner_up.map(placed) {
         None => None,
-        Some(found) => {
-            let turned = turn(found)?;
-            let apart = (0..2).any(|d| (turned.offset[d] - refined.offset[d]).abs() > away[d] * step[d]);
-            // One that turns into the best is no other place.
-            Some(if apart { turned } else { found })
+        Some(candidate) => {
+            let roughly = refine(candidate, ROUGHLY)?;
+            if placements.len() == 1 && roughly.least > FALL * roughly.on_lattice && roughly.least > 0.0 {
+                Some(roughly)
+            } else {
+                let found = refine(candidate, usize::MAX)?;
+                let turned = turn(found)?;
+                let apart = (0..2).any(|d| (turned.offset[d] - refined.offset[d]).abs() > away[d] * step[d]);
+                // One that turns into the best is no other place.
+                Some(if apart { turned } else { found })
+            }
         }
     };
     let offset = refined.offset;

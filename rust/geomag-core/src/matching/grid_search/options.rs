@@ -125,8 +125,8 @@ impl GridSearch {
     }
 }
 
-/// Times that the step of a refinement is made a quarter: to a four-thousandth of the lattice's.
-const LEVELS: usize = 6;
+/// Times that the step of a refinement is made an eighth: to a four-thousandth of the lattice's.
+const LEVELS: usize = 4;
 
 impl GridSearch {
     /// How far a candidate is refined. A measure without a noise model has no covariance that would need the minimum itself, and its
