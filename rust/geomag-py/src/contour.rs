@@ -12,8 +12,9 @@ use geomag_core::matching::refine::RefineOptions;
 use geomag_core::matching::scene::{Channel, Priors};
 use geomag_core::matching::sliding::{AveragedPoint, SlidingContour, SlidingState};
 use geomag_core::matching::starts::{DEFAULT_MAX_CANDIDATES, Starts};
-use geomag_core::matching::stream::Stream;
+use geomag_core::matching::stream::{Sample, Stream};
 use geomag_core::matching::transform::{Transform, TransformKind};
+use geomag_core::stack::extent;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -23,6 +24,7 @@ use crate::fix::PyFix;
 use crate::grid::{PyGridMap, interpolation};
 use crate::lock::Shared;
 use crate::long_call;
+use crate::stack::{level_for, same_map};
 use crate::track::PyTrack;
 
 fn grid_map(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Arc<GridMap>> {
@@ -326,21 +328,24 @@ pub fn py_match_contour(
     channels: Option<Vec<OtherChannel<'_>>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyRes<PyFix> {
-    let map = grid_map("grid", grid)?;
+    let track = track.on(py, grid)?;
+    let map = level_for("grid", grid, &track)?;
     let options = contour_options(&map, options)?;
     let weights = optional_vector("weights", weights)?;
     let mut others = Vec::new();
     for (i, (grid, values, sigma)) in channels.unwrap_or_default().iter().enumerate() {
         let what = format!("channels[{i}]");
-        others.push((grid_map(&what, grid)?, vector(&what, values)?, *sigma));
+        others.push((level_for(&what, grid, &track)?, vector(&what, values)?, *sigma));
     }
-    let track = track.on(py, grid)?;
     let units = work(&options, track.len(), 1 + others.len());
-    let fix = long_call::run(py, units, None, None, |monitor| {
+    let mut fix = long_call::run(py, units, None, None, |monitor| {
         let mut all = vec![Channel { map: &map, values: track.values(), sigma }];
         all.extend(others.iter().map(|(map, values, sigma)| Channel { map, values, sigma: Some(*sigma) }));
         match_channels_monitored(&all, &track, weights.as_deref(), &options, monitor)
     })?;
+    if track.height_m().is_some() && !same_map(grid, &map) {
+        fix.heights_m = track.height_m().and_then(extent);
+    }
     Ok(fix.into())
 }
 
@@ -432,7 +437,7 @@ impl PySlidingContour {
 
     /// Take one sample: indicated position (map units) and measured value. Returns a `Fix`; `searching` until full.
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyFix> {
-        let step = self.inner.take(py, [x, y], value)?;
+        let step = self.inner.take(py, &Sample { place: [x, y], value, height_m: None })?;
         Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
     }
 
@@ -444,7 +449,7 @@ impl PySlidingContour {
         let fixes = long_call::run(py, units, None, None, |monitor| {
             let one = |window: &mut SlidingContour, k: usize| {
                 monitor.advance(k as u64, track.len() as u64)?;
-                window.take(track.point(k), track.values()[k], monitor)
+                window.take(&Sample::of(&track, k), monitor)
             };
             let all =
                 |window: &mut SlidingContour| (0..track.len()).map(|k| one(window, k)).collect::<Result<Vec<_>, _>>();

@@ -13,6 +13,7 @@ use pyo3::types::{PyDict, PyTuple};
 use crate::arrays::{array, broadcast, in_place, is_single, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
+use crate::stack::PyMapStack;
 
 /// Reads the name of an interpolation.
 pub fn interpolation(name: &str) -> PyRes<Interpolation> {
@@ -80,6 +81,11 @@ impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
         Self { inner: Arc::new(inner), name, units, crs, turned: [false; 2] }
+    }
+
+    /// Another map with this one's name, units and reference system.
+    pub fn named_alike(&self, inner: GridMap) -> Self {
+        Self::from_core(inner, self.name.clone(), self.units.clone(), self.crs.clone())
     }
 }
 
@@ -250,6 +256,27 @@ impl PyGridMap {
     /// The map as an xarray.DataArray.
     fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyRes<Bound<'py, PyAny>> {
         Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
+    }
+
+    /// The map at another height, or a `MapStack` of it at several: see `geomag.continuation.continue_to` for the options.
+    #[pyo3(signature = (height_m, **options))]
+    fn continue_to<'py>(
+        slf: &Bound<'py, Self>,
+        height_m: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("continue_to")?.call((slf, height_m), options)?)
+    }
+
+    /// The change of the field with height, value units per metre, upward positive: see `geomag.continuation.vertical_gradient`.
+    #[pyo3(signature = (**options))]
+    fn vertical_gradient<'py>(
+        slf: &Bound<'py, Self>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("vertical_gradient")?.call((slf,), options)?)
     }
 
     /// Write the map to a netCDF file (CF conventions) with all that it knows; `GridMap.open` gives it back to the last bit.
@@ -462,7 +489,7 @@ impl PyGridMap {
     /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
     ///
     /// Raises `InvalidInputError` for a latitude beyond a pole.
-    fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
+    pub fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
         if self.inner.geographic() && y.abs() > 90.0 {
             return Err(invalid("y of a geographic map", "a latitude in [-90, 90] degrees", y));
         }
@@ -643,5 +670,8 @@ pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
     if let Ok(map) = object.cast::<PyHarmonicMap>() {
         return Ok(map.get().inner.clone());
     }
-    Err(invalid("grid", "a geomag.GridMap or HarmonicMap", object.get_type().name()?))
+    if let Ok(stack) = object.cast::<PyMapStack>() {
+        return Ok(stack.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap, MapStack or HarmonicMap", object.get_type().name()?))
 }

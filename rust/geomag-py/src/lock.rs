@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use std::thread::ThreadId;
 
 use geomag_core::fix::Fix;
-use geomag_core::matching::stream::{Step, Stream};
+use geomag_core::matching::stream::{Sample, Step, Stream};
 use geomag_core::monitor::Quiet;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
@@ -45,8 +45,8 @@ impl<T: Send> Shared<T> {
 /// What every stream of matching shares in Python.
 impl<S: Stream> Shared<S> {
     /// Takes one sample; other Python threads run meanwhile.
-    pub fn take(&self, py: Python<'_>, place: [f64; 2], value: f64) -> PyRes<Step> {
-        Ok(self.detached(py, |s| s.take(place, value, &Quiet))?)
+    pub fn take(&self, py: Python<'_>, sample: &Sample) -> PyRes<Step> {
+        Ok(self.detached(py, |s| s.take(sample, &Quiet))?)
     }
 
     /// The answer on the samples held.

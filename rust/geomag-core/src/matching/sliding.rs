@@ -14,7 +14,7 @@ use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
 use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
 use crate::matching::starts::Starts;
-use crate::matching::stream::{Step, Stream};
+use crate::matching::stream::{Sample, Step, Stream};
 use crate::matching::transform::Transform;
 use crate::monitor::{Monitor, Quiet};
 use crate::state::Saved;
@@ -319,7 +319,8 @@ impl SlidingContour {
 }
 
 impl Stream for SlidingContour {
-    fn take(&mut self, [x, y]: [f64; 2], value: f64, monitor: &dyn Monitor) -> Result<Step> {
+    fn take(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<Step> {
+        let Sample { place: [x, y], value, .. } = *sample;
         let fix = self.state.update_monitored(&self.map, x, y, value, monitor)?;
         self.newest = Some(fix.clone());
         Ok(Step { status: fix.status, fix: Some(fix) })

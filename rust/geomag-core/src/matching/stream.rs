@@ -21,16 +21,34 @@ impl Step {
     }
 }
 
+/// One sample of a track.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Indicated position, map units.
+    pub place: [f64; 2],
+    /// Measured value.
+    pub value: f64,
+    /// Height above the map's height datum, metres, where it is known.
+    pub height_m: Option<f64>,
+}
+
+impl Sample {
+    /// Sample `k` of a track.
+    pub fn of(track: &Track, k: usize) -> Self {
+        Self { place: track.point(k), value: track.values()[k], height_m: track.height_m().map(|h| h[k]) }
+    }
+}
+
 /// A matcher that takes samples one by one in bounded memory.
 ///
 /// An update is all or nothing: one that is refused leaves the stream as it was. What [`Stream::save`] gives goes on, bit for bit,
 /// where it left off.
 pub trait Stream: Clone + Send {
-    /// Takes one sample: indicated position (map units) and measured value. `monitor` may stop it; the sample is then not taken.
+    /// Takes one sample. `monitor` may stop it; the sample is then not taken.
     ///
     /// # Errors
     /// Those of the sample, or [`Error::Interrupted`](crate::error::Error::Interrupted).
-    fn take(&mut self, place: [f64; 2], value: f64, monitor: &dyn Monitor) -> Result<Step>;
+    fn take(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<Step>;
 
     /// The answer on the samples held, whatever its status.
     ///
@@ -64,7 +82,7 @@ pub trait Stream: Clone + Send {
 pub fn feed<S: Stream>(stream: &mut S, track: &Track, until_lost: bool, monitor: &dyn Monitor) -> Result<Fix> {
     for k in 0..track.len() {
         monitor.advance(k as u64, track.len() as u64)?;
-        let step = stream.take(track.point(k), track.values()[k], monitor)?;
+        let step = stream.take(&Sample::of(track, k), monitor)?;
         if step.status == Status::Fixed || (until_lost && step.over()) {
             return step.fix.map_or_else(|| stream.answer(), Ok);
         }

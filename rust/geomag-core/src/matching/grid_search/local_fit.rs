@@ -47,9 +47,10 @@ impl LocalFit {
             if weight == 0.0 {
                 continue;
             }
-            let (m, [east, north]) = match field.as_grid() {
-                Some(grid) => grid.sample_and_gradient(p[0], p[1], search.interpolation),
-                None => field.value_and_gradient(p[0], p[1]),
+            let (m, [east, north]) = match (field.as_grid(), track.height_m()) {
+                (Some(grid), _) => grid.sample_and_gradient(p[0], p[1], search.interpolation),
+                (None, Some(heights)) => field.value_and_gradient_at(p[0], p[1], heights[k]),
+                (None, None) => field.value_and_gradient(p[0], p[1]),
             };
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;

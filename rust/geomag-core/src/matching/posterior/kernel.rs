@@ -180,7 +180,6 @@ fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64;
     let [half_x, half_y] = setup.half_cells;
     let half = half_x.max(half_y);
     let cells = Cells::new(offsets);
-    let [even_variance, even_distance] = setup.patch.everywhere();
     for k in 0..n {
         let row = &mut scratch.rows[k];
         let mut spots = setup.patch.locate(setup.places[k], &cells);
@@ -219,6 +218,7 @@ fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64;
             row.extra_variance[l] = if known[l] > 0.0 { extra_variance[l] } else { 1.0 };
         }
         if EVEN {
+            let [even_variance, even_distance] = setup.patch.everywhere(setup.places[k]);
             for l in 0..LANES {
                 row.map_variance[l] = known[l] * even_variance * unit * unit;
                 row.distance[l] = known[l] * even_distance;

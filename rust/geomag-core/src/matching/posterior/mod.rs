@@ -46,6 +46,7 @@ use crate::field::Field;
 use crate::fix::Fix;
 use crate::matching::stream::feed;
 use crate::monitor::{Monitor, Quiet};
+use crate::stack::{Served, read_heights, served};
 use crate::track::Track;
 use problem::{Interruption, Problem};
 use rayon::prelude::*;
@@ -106,8 +107,13 @@ pub fn match_interruptible(
     options: &PosteriorOptions,
     monitor: &dyn Monitor,
 ) -> Result<Fix> {
+    let served: Vec<Served<'_>> = channels.iter().map(|c| served(c.field, track)).collect::<Result<_>>()?;
+    let channels: Vec<Channel<'_>> =
+        channels.iter().zip(&served).map(|(c, served)| Channel { field: served.field(), ..*c }).collect();
     // One entry into the pool of threads, not one a stage.
-    rayon::scope(|_| solve(channels, track, options, monitor))
+    let mut fix = rayon::scope(|_| solve(&channels, track, options, monitor))?;
+    fix.heights_m = read_heights(&served, track);
+    Ok(fix)
 }
 
 /// About how long a match takes with these options, nanoseconds of one thread.

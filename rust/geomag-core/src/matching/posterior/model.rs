@@ -189,7 +189,7 @@ pub(super) struct Noise {
 
 impl Noise {
     pub fn new(channel: &Channel<'_>, options: &PosteriorOptions) -> Result<Self> {
-        let grid = channel.field.as_grid();
+        let grid = channel.field.layout();
         let model = grid.and_then(|g| g.error_model());
         let stated = grid.is_none_or(|g| g.map_sigma().is_some());
         let exact = match grid.and_then(|g| g.map_sigma()) {

@@ -11,6 +11,7 @@ use super::{At, MANY, match_interruptible};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::monitor::{Monitor, Quiet};
+use crate::stack::served;
 use crate::track::Track;
 
 /// What is to be expected of a fix at the end of a planned track.
@@ -50,6 +51,12 @@ pub fn predict(
     predict_interruptible(field, track, sigma, options, flights, seed, &Quiet)
 }
 
+/// Map value at the place and height of a sample.
+fn at(field: &dyn Field, track: &Track, k: usize) -> f64 {
+    let [x, y] = track.point(k);
+    track.height_m().map_or_else(|| field.value(x, y), |h| field.value_at(x, y, h[k]))
+}
+
 fn predict_interruptible(
     field: &dyn Field,
     track: &Track,
@@ -59,7 +66,9 @@ fn predict_interruptible(
     seed: u64,
     monitor: &dyn Monitor,
 ) -> Result<Prediction> {
-    let values: Vec<f64> = (0..track.len()).map(|k| field.value(track.x()[k], track.y()[k])).collect();
+    let served = served(field, track)?;
+    let field = served.field();
+    let values: Vec<f64> = (0..track.len()).map(|k| at(field, track, k)).collect();
     let known = values.iter().filter(|v| v.is_finite()).count();
     if known == 0 {
         return Err(Error::invalid("planned track", "a track on the map", "no sample on a known cell"));
@@ -139,7 +148,7 @@ pub fn predict_many(
             .par_iter()
             .enumerate()
             .map(|(i, track)| {
-                let known = (0..track.len()).filter(|&k| field.value(track.x()[k], track.y()[k]).is_finite()).count();
+                let known = (0..track.len()).filter(|&k| at(field, track, k).is_finite()).count();
                 if (known as f64) < options.min_overlap * track.len() as f64 {
                     return Ok(None);
                 }

@@ -14,6 +14,7 @@ use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::monitor::Monitor;
+use crate::stack::Storey;
 use crate::track::Track;
 
 /// What is to be expected of a track: see [`Problem::expected`].
@@ -90,6 +91,8 @@ pub(super) struct Prepared {
     places: Vec<Vec<Place>>,
     /// Indicated positions, cells of the patch.
     indicated: Vec<[f64; 2]>,
+    /// Where their heights lie among the levels of the map.
+    storeys: Vec<Storey>,
     /// Measured values minus the patch's level, value units.
     values: Vec<f32>,
     pub noise: Noise,
@@ -204,16 +207,25 @@ impl<'a> Problem<'a> {
                 }
             };
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
-            let noise = Noise::new(channel, options)?;
+            let mut noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
+            let storeys = match (channel.field.as_stack(), track.height_m()) {
+                (Some(stack), Some(heights)) => stack.storeys(heights)?,
+                _ => vec![Storey::GROUND; n],
+            };
+            if let Some(correlation) = channel.field.as_stack().and_then(|stack| stack.correlation(&storeys)) {
+                noise.correlation = correlation;
+            }
             // The kernel's unit is the typical error, so that single precision has room on both sides of it.
-            let variances = indicated.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
+            let there = indicated.iter().zip(&storeys);
+            let variances = there.map(|(p, storey)| f64::from(patch.at(p[0], p[1], *storey).variance));
             let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
             let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
             let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
-            let places = vec![indicated.iter().copied().map(Place::new).collect()];
-            prepared.push(Prepared { patch, places, indicated, values, noise, cell_m, unit });
+            let places = indicated.iter().zip(&storeys).map(|(p, storey)| Place::new(*p).in_storey(*storey)).collect();
+            let places = vec![places];
+            prepared.push(Prepared { patch, places, indicated, storeys, values, noise, cell_m, unit });
         }
         if !nuisance.shapes.is_empty() {
             let linear_m = prepared.iter().map(Prepared::linear_m).fold(f64::INFINITY, f64::min);
@@ -441,8 +453,8 @@ impl<'a> Problem<'a> {
     /// Map sigma at every indicated position, and the mean distance to the data.
     fn along(&self, channel: &Prepared) -> (Vec<f64>, f64) {
         let (mut sigma, mut distance, mut known) = (Vec::with_capacity(self.samples), 0.0, 0.0);
-        for [px, py] in &channel.indicated {
-            let sample = channel.patch.at(*px, *py);
+        for ([px, py], storey) in channel.indicated.iter().zip(&channel.storeys) {
+            let sample = channel.patch.at(*px, *py, *storey);
             let here = sample.value.is_finite();
             sigma.push(if here { f64::from(sample.variance).sqrt() } else { 0.0 });
             if here {
@@ -490,7 +502,7 @@ impl Prepared {
         let laid_out = |node: &Node| {
             let place = |(k, p): (usize, &[f64; 2])| {
                 let moved = node.moved_m.get(k).unwrap_or(&[0.0; 2]);
-                Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north])
+                Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north]).in_storey(self.storeys[k])
             };
             self.indicated.iter().enumerate().map(place).collect()
         };

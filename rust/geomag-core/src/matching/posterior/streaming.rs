@@ -19,8 +19,9 @@ use crate::bounds::{require_place, require_places};
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
-use crate::matching::stream::{Step, Stream};
+use crate::matching::stream::{Sample, Step, Stream};
 use crate::monitor::Monitor;
+use crate::stack::{Storey, check_heights, extent};
 use crate::state::{self, Saved};
 use crate::track::Track;
 
@@ -67,6 +68,8 @@ struct State {
     x: Vec<f64>,
     y: Vec<f64>,
     values: Vec<f64>,
+    /// One a sample, or none.
+    heights_m: Vec<f64>,
     seen: usize,
     lattice: Lattice,
     candidates: Vec<Candidate>,
@@ -200,6 +203,7 @@ impl PosteriorMatcher {
             x: Vec::new(),
             y: Vec::new(),
             values: Vec::new(),
+            heights_m: Vec::new(),
             seen: 0,
             lattice,
             candidates,
@@ -218,29 +222,55 @@ impl PosteriorMatcher {
     /// [`Error::NotFinite`], [`Error::Invalid`] for a bad sample, [`Error::TooManyCandidates`] for one that would need too large a
     /// window of the field. It is then not taken: the matcher is as before.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
+        self.update_at(x, y, value, None)
+    }
+
+    /// [`PosteriorMatcher::update`] with the height of the sample, metres above the map's height datum: needed on a stack of
+    /// levels, and by none or all of the samples.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`], or [`Error::Invalid`] for a height that the map does not serve, for a bad sample, which is not taken.
+    pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
         require_finite("sample (x, y, value)", &[x, y, value])?;
         require_place("sample", self.field.geographic(), [x, y])?;
+        let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
+        check_heights(&*self.field, &sample)?;
+        if let Some(height) = height_m
+            && self.field.between(height, height)?.is_some()
+        {
+            let needed = "a stack of levels, for what is laid out of this field is at its own level";
+            return Err(Error::invalid("map", needed, format!("a sample at {height} m")));
+        }
         // All or nothing: a sample that is refused on the way leaves the matcher as it was.
         let mut next = self.clone();
-        let step = next.take_sample(x, y, value)?;
+        let step = next.take_sample(x, y, value, height_m)?;
         *self = next;
         Ok(step)
     }
 
-    fn take_sample(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
+    fn take_sample(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
         let s = &mut self.state;
+        if !s.x.is_empty() && s.heights_m.is_empty() == height_m.is_some() {
+            let needed =
+                if height_m.is_some() { "none, as the samples before" } else { "a height, as the samples before" };
+            return Err(Error::invalid("height_m of a sample", needed, format!("{height_m:?}")));
+        }
         if s.x.len() == s.max_samples {
             s.x.remove(0);
             s.y.remove(0);
             s.values.remove(0);
+            if !s.heights_m.is_empty() {
+                s.heights_m.remove(0);
+            }
         }
         s.x.push(x);
         s.y.push(y);
         s.values.push(value);
+        s.heights_m.extend(height_m);
         s.seen += 1;
         self.moved();
         self.spread(0.5);
-        self.gate(x, y, value)?;
+        self.gate(x, y, value, height_m)?;
         let s = &self.state;
         let n = s.x.len();
         if s.candidates.is_empty() {
@@ -286,7 +316,9 @@ impl PosteriorMatcher {
         let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref())?;
         let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
         let (posterior, kept) = problem.solve_going_on(offsets, s.lattice.step, coarse);
-        Ok((decide::answer(&problem, &track, &posterior, &s.lattice), kept))
+        let mut fix = decide::answer(&problem, &track, &posterior, &s.lattice);
+        fix.heights_m = self.field.as_stack().and(track.height_m()).and_then(extent);
+        Ok((fix, kept))
     }
 
     /// Forgets all samples.
@@ -341,6 +373,16 @@ impl PosteriorMatcher {
             return refuse("a candidate lies outside the lattice of this map");
         }
         let mut matcher = Self { field, state: saved, patch: None };
+        let (n, heights) = (matcher.state.x.len(), &matcher.state.heights_m);
+        let served = matcher
+            .field
+            .as_stack()
+            .map_or(heights.is_empty() || matcher.field.as_grid().is_none_or(|g| g.height().is_some()), |s| {
+                heights.len() == n && s.storeys(heights).is_ok()
+            });
+        if !(served && (heights.is_empty() || heights.len() == n) && require_finite("heights", heights).is_ok()) {
+            return refuse("its heights are not those of this map");
+        }
         matcher.lay_out(matcher.state.options.max_candidates.min(MOST_LAID_OUT))?;
         Ok(matcher)
     }
@@ -354,7 +396,9 @@ impl PosteriorMatcher {
     }
 
     fn track(&self) -> Result<Track> {
-        Track::new(self.state.x.clone(), self.state.y.clone(), self.state.values.clone(), None)
+        let s = &self.state;
+        let heights = (!s.heights_m.is_empty()).then(|| s.heights_m.clone());
+        Track::new(s.x.clone(), s.y.clone(), s.values.clone(), None)?.with_height(heights)
     }
 
     fn step(&self, fix: Option<Fix>) -> PosteriorStep {
@@ -410,7 +454,9 @@ impl PosteriorMatcher {
         Ok(())
     }
 
-    fn gate(&mut self, x: f64, y: f64, value: f64) -> Result<()> {
+    fn gate(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<()> {
+        let storey =
+            self.field.as_stack().zip(height_m).and_then(|(stack, h)| stack.storey(h)).unwrap_or(Storey::GROUND);
         let x = self.field.wrap_x(x);
         self.window()?;
         let channel = Channel { field: &*self.field, values: &self.state.values, sigma: self.state.sigma };
@@ -433,7 +479,7 @@ impl PosteriorMatcher {
         let allowed = FIRST_MISSES + (MISSES * self.state.seen as f64) as u32;
         self.state.candidates.retain_mut(|c| {
             let [px, py] = patch.position(x + c.offset[0], y + c.offset[1]);
-            let sample = patch.at(px, py);
+            let sample = patch.at(px, py, storey);
             if !sample.value.is_finite() {
                 // A hole is no evidence.
                 return true;
@@ -521,8 +567,9 @@ impl PosteriorMatcher {
 }
 
 impl Stream for PosteriorMatcher {
-    fn take(&mut self, [x, y]: [f64; 2], value: f64, _: &dyn Monitor) -> Result<Step> {
-        let step = self.update(x, y, value)?;
+    fn take(&mut self, sample: &Sample, _: &dyn Monitor) -> Result<Step> {
+        let Sample { place: [x, y], value, height_m } = *sample;
+        let step = self.update_at(x, y, value, height_m)?;
         Ok(Step { status: step.status, fix: step.fix })
     }
 
