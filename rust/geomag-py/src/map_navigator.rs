@@ -1,6 +1,6 @@
 //! `InsModel`, `Navigator` and whole flights.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
@@ -16,7 +16,7 @@ use crate::arrays::{matrix, optional_vector, pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
-use crate::lock::{attached, detached};
+use crate::lock::Shared;
 use crate::long_call;
 
 /// The grade of an INS: how large its errors are, and how they grow.
@@ -577,7 +577,7 @@ pub struct PyNavigator {
     field: Arc<dyn Field>,
     /// What was passed as the map, for pickling.
     map: Py<PyAny>,
-    inner: Mutex<Navigator>,
+    inner: Shared<Navigator>,
 }
 
 #[pymethods]
@@ -590,7 +590,7 @@ impl PyNavigator {
             return Err(invalid("method", "'navigator' or 'ekf' ('rbpf' is for whole flights: navigate)", "'rbpf'"));
         }
         let field = field(grid)?;
-        let inner = Mutex::new(Navigator::new(field.clone(), options)?);
+        let inner = Shared::new(Navigator::new(field.clone(), options)?);
         Ok(Self { field, map: grid.clone().unbind(), inner })
     }
 
@@ -616,7 +616,7 @@ impl PyNavigator {
         let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value };
         // A step may hold a match, which takes a while.
         let terms = optional_vector("terms", terms)?.unwrap_or_default();
-        let inner = py.detach(|| detached(&self.inner).step_with_terms(&indicated, &terms))?;
+        let inner = self.inner.detached(py, |n| n.step_with_terms(&indicated, &terms))?;
         Ok(PyNavigationStep { inner })
     }
 
@@ -625,7 +625,8 @@ impl PyNavigator {
     /// It must be ok and have a covariance. Returns its normalised innovation squared and whether it contradicted the filter, which then
     /// started anew from it.
     fn correct(&self, py: Python<'_>, fix: &PyFix) -> PyRes<(f64, bool)> {
-        Ok(answer(attached(py, &self.inner).correct(&fix.inner)?))
+        let fix = fix.inner.clone();
+        Ok(answer(self.inner.with(py, |n| n.correct(&fix))?))
     }
 
     /// Take a position from elsewhere (GNSS, terrain, a sighting) for the newest step.
@@ -638,7 +639,7 @@ impl PyNavigator {
         covariance_m2: &Bound<'_, PyAny>,
     ) -> PyRes<(f64, bool)> {
         let (offset, covariance) = (pair("offset_m", offset_m)?, covariance(covariance_m2)?);
-        Ok(answer(attached(py, &self.inner).correct_position(offset, covariance)?))
+        Ok(answer(self.inner.with(py, |n| n.correct_position(offset, covariance))?))
     }
 
     /// Take a velocity from elsewhere (Doppler log, odometer with a heading) for the newest step: true, m/s (east, north).
@@ -646,13 +647,13 @@ impl PyNavigator {
     /// Returns as `correct`.
     fn correct_velocity(&self, py: Python<'_>, velocity_m_s: &Bound<'_, PyAny>, sigma_m_s: f64) -> PyRes<(f64, bool)> {
         let velocity = pair("velocity_m_s", velocity_m_s)?;
-        Ok(answer(attached(py, &self.inner).correct_velocity(velocity, sigma_m_s)?))
+        Ok(answer(self.inner.with(py, |n| n.correct_velocity(velocity, sigma_m_s))?))
     }
 
     /// Start anew at a place, map units, known with this covariance; what is known of the INS's other errors is kept.
     fn reset(&self, py: Python<'_>, x: f64, y: f64, covariance_m2: &Bound<'_, PyAny>) -> PyRes<()> {
         let covariance = covariance(covariance_m2)?;
-        Ok(attached(py, &self.inner).reset([x, y], covariance)?)
+        Ok(self.inner.with(py, |n| n.reset([x, y], covariance))?)
     }
 
     /// Covariance of the position along a planned path, (n, 2, 2) square metres, if a reading comes at every step.
@@ -675,7 +676,7 @@ impl PyNavigator {
         log.input().check()?;
         let path: Vec<Indicated> =
             (0..log.time_s.len()).map(|k| Indicated { value: Some(0.0), ..log.input().at(k) }).collect();
-        let ahead = attached(py, &self.inner).clone();
+        let ahead = self.inner.with(py, |n| n.clone());
         let bound = py.detach(|| ahead.predict_bound(&path))?;
         shaped(py, bound.iter().flat_map(|c| c.concat()).collect(), &[bound.len(), 2, 2])
     }
@@ -683,19 +684,19 @@ impl PyNavigator {
     /// `acquiring`, `tracking`, `coasting` or `lost`.
     #[getter]
     fn status(&self, py: Python<'_>) -> &'static str {
-        attached(py, &self.inner).status().as_str()
+        self.inner.with(py, |n| n.status().as_str())
     }
 
     /// Which INS output there was: `full`, `velocity` (no heading: the course) or `positions` (a reduced model).
     #[getter]
     fn inputs(&self, py: Python<'_>) -> &'static str {
-        attached(py, &self.inner).inputs().as_str()
+        self.inner.with(py, |n| n.inputs().as_str())
     }
 
     /// Steps taken.
     #[getter]
     fn steps(&self, py: Python<'_>) -> u64 {
-        attached(py, &self.inner).steps()
+        self.inner.with(py, |n| n.steps())
     }
 
     /// Estimated errors, indicated minus true.
@@ -704,7 +705,7 @@ impl PyNavigator {
     /// accelerometer biases forward and right (m/s2), sensor bias (map's unit), displacement of the map's features east and north (m).
     #[getter]
     fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = attached(py, &self.inner).mean().to_vec();
+        let mean = self.inner.with(py, |n| n.mean().to_vec());
         let n = mean.len();
         shaped(py, mean, &[n])
     }
@@ -712,18 +713,17 @@ impl PyNavigator {
     /// Covariance of these errors, the filter's own.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let (n, values) = {
-            let inner = attached(py, &self.inner);
-            let n = inner.mean().len();
-            (n, (0..n * n).map(|k| inner.covariance(k / n, k % n)).collect())
-        };
+        let (n, values) = self.inner.with(py, |navigator| {
+            let n = navigator.mean().len();
+            (n, (0..n * n).map(|k| navigator.covariance(k / n, k % n)).collect())
+        });
         shaped(py, values, &[n, n])
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
         let this = slf.get();
-        let bytes = attached(py, &this.inner).save()?;
+        let bytes = this.inner.with(py, |n| n.save())?;
         let arguments = (this.map.clone_ref(py), PyBytes::new(py, &bytes)).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
@@ -731,14 +731,14 @@ impl PyNavigator {
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
         let field = field(grid)?;
-        let inner = Mutex::new(Navigator::restore(field.clone(), bytes)?);
+        let inner = Shared::new(Navigator::restore(field.clone(), bytes)?);
         Ok(Self { field, map: grid.clone().unbind(), inner })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let inner = attached(py, &self.inner);
+        let (status, steps) = self.inner.with(py, |n| (n.status().as_str(), n.steps()));
         let unit = if self.field.geographic() { "degrees" } else { "metres" };
-        format!("Navigator({}, {} steps, map in {unit})", inner.status().as_str(), inner.steps())
+        format!("Navigator({status}, {steps} steps, map in {unit})")
     }
 }
 

@@ -6,6 +6,7 @@ use super::motion::{POSITION, TILT, VELOCITY};
 use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
 use super::{BIAS, Navigator, Newest, REGISTRATION};
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
 
 /// Longest time between two steps, seconds.
@@ -67,7 +68,7 @@ impl Navigator {
     pub(super) fn check(&mut self, indicated: &Indicated) -> Result<Newest> {
         let Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value } = *indicated;
         require_finite("time_s", &[time_s])?;
-        require_finite("x, y", &[x, y])?;
+        require_place("position", self.field.geographic(), [x, y])?;
         if let Some(value) = value.filter(|v| v.is_infinite()) {
             return Err(Error::NotFinite { what: "value".into(), index: 0, got: value });
         }
