@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._errors import DataWarning, InvalidInputError, ReadError
+from geomag._errors import DataWarning, InvalidInputError, ReadError, TooFewSamplesError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.io import _times
@@ -229,7 +229,7 @@ def track_of(
         )
     keep = np.asarray(~bad)
     if not keep.any():
-        raise InvalidInputError(f"{where}: needed a position and a value in one row at least, got none")
+        raise TooFewSamplesError(f"{where}: needed a position and a value in one row at least, got none")
     px, py, values = points.x[keep], points.y[keep], points.values[keep]
     step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
     seconds = _seconds(table, time, time_unit, keep, step_m)
@@ -332,6 +332,20 @@ def _seconds(
     return seconds
 
 
+def times_of(table: Table, asked: str | int | None, points: Points) -> Array:
+    """Times of every row, seconds, for what cannot do without; errors say what is wrong with them."""
+    columns = [asked_column(table.columns, asked, table.where)] if asked is not None else _time_column(table, None)
+    if not columns:
+        the_one(table.columns, "time", [c for c in table.columns if c.kind == "time"], table.where)
+    step_m = None if points.geographic is None else steps_m(points.x, points.y, points.geographic)
+    found = _seconds(
+        table, asked if asked is not None else columns[-1].name, None, np.ones(len(table), dtype=bool), step_m
+    )
+    if found is None:  # a date beside a time of day, which are looked for without asking
+        raise InvalidInputError(f"{table.where}: needed times in column '{columns[-1].name}', got none")
+    return found
+
+
 def _untimed(where: str, why: str, asked: object) -> None:
     """No times: an error where they were asked for, else told and left."""
     if asked is not None:
@@ -372,7 +386,7 @@ def line_points(
             f"{table.where}: needed to know whether columns '{points.columns[0].name}' and '{points.columns[1].name}' are degrees or "
             "metres, got neither units nor names that say so; pass geographic=True or geographic=False"
         )
-    if line is None and table.labels is not None:
+    if table.labels is not None and line in (None, "line"):
         labels: NDArray[Any] = np.array(table.labels)
     else:
         found = [c for c in table.columns if c.kind == "line"]

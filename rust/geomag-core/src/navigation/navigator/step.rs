@@ -7,8 +7,8 @@ use super::motion::{ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, POSITION, 
 use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
 use super::{BIAS, Navigator, Newest, REGISTRATION, STATES};
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
-use crate::frame::displacement_m;
 
 /// Longest step over which the errors are carried on at once, seconds.
 const LONGEST_STEP_S: f64 = 5.0;
@@ -53,7 +53,7 @@ impl Navigator {
     fn check(&mut self, indicated: &Indicated) -> Result<Newest> {
         let Indicated { time_s, x, y, velocity_m_s, heading_deg, value } = *indicated;
         require_finite("time_s", &[time_s])?;
-        require_finite("x, y", &[x, y])?;
+        require_place("position", self.field.geographic(), [x, y])?;
         if let Some(value) = value.filter(|v| v.is_infinite()) {
             return Err(Error::NotFinite { what: "value".into(), index: 0, got: value });
         }
@@ -77,7 +77,7 @@ impl Navigator {
                 require_finite("velocity_m_s", &v)?;
                 v
             }
-            (None, Some(b)) if gap > 0.0 => displacement_m(geographic, [b.x, b.y], [x, y]).map(|d| d / gap),
+            (None, Some(b)) if gap > 0.0 => self.field.displacement_m([b.x, b.y], [x, y]).map(|d| d / gap),
             (None, Some(b)) => b.velocity_m_s,
             (None, None) => [0.0; 2],
         };
@@ -104,7 +104,7 @@ impl Navigator {
     /// The first step: what is known of the start, and of the map there.
     fn begin(&mut self, now: &Newest) {
         if let Some([x, y]) = self.state.options.start {
-            let error = displacement_m(self.field.geographic(), [self.field.wrap_x(x), y], [now.x, now.y]);
+            let error = self.field.displacement_m([self.field.wrap_x(x), y], [now.x, now.y]);
             self.state.filter.mean_mut()[POSITION..POSITION + 2].copy_from_slice(&error);
         }
         let distance = self.law.distance_m(self.field.as_ref(), now.x, now.y);
@@ -181,7 +181,7 @@ impl Navigator {
             let phi = transition(&rates(&motion), &decay, dt);
             self.state.filter.predict(&phi, &factors, &noise, &mut self.scratch);
         }
-        let moved = displacement_m(self.field.geographic(), place, [now.x, now.y]);
+        let moved = self.field.displacement_m(place, [now.x, now.y]);
         self.state.batch.gathered_m += moved[0].hypot(moved[1]);
     }
 
