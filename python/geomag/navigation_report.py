@@ -7,7 +7,7 @@ whether the covariances and protection levels held; the unaided INS, and other f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, TooFewSamplesError
-from geomag._geomag import GridMap, InsFeedback, InsModel, Track, _radii_m, match_posterior
+from geomag._geomag import GridMap, InsFeedback, InsModel, Navigator, Track, _radii_m, match_posterior
 from geomag._inertial import Inertial, draw_inertial_error, indicate, strapdown
 from geomag._navigation import DECLARED, SETTLING_S, Navigation, navigate
 from geomag._ranges import above, at_least
 from geomag._statistics import wilson
 from geomag.flights import FieldSensor, LineFlight, line_flights, scales_m, steps_m
-from geomag.survey import Lines, folds_of, map_from_lines
+from geomag.survey import Lines, map_from_lines
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None] | None
@@ -31,7 +31,7 @@ Disturbance = Callable[[LineFlight, Inertial, Array, np.random.Generator], Array
 
 #: A flight that ends further off than this and than three standard deviations has diverged without a word.
 DIVERGED_M = 1000.0
-METHODS = ("navigator", "ekf", "rbpf", "windows")
+METHODS = ("navigator", "smoothed", "ekf", "windows")
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class NavigationReport:
         got = np.isfinite(first)
         bounds = [r.bound_m2 for r in self.runs if r.bound_m2 is not None]
         trace = (
-            np.concatenate([np.trace(b, axis1=1, axis2=2) for b in bounds])
+            np.concatenate([np.trace(b, axis1=1, axis2=2)[c] for b, c in zip(bounds, counted, strict=True)])
             if len(bounds) == len(self.runs)
             else np.full(1, np.nan)
         )
@@ -247,25 +247,16 @@ class NavigationReport:
 
 def _folds(lines: Lines, folds: int) -> list[tuple[Lines, Lines]]:
     """Lines that are kept and lines that are left out, for every fold."""
-    pieces = lines.split()
-    if folds < 2 or len(pieces) < 2 * folds:
+    if folds < 2 or lines.survey.labels < 2 * folds:
         raise TooFewSamplesError(
-            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {len(pieces)}"
+            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {lines.survey.labels}"
         )
-    number = folds_of(pieces, folds)
+    return [(Lines.joined(kept), Lines.joined(left)) for kept, left in lines.survey.parted(folds)]
 
-    def joined(some: Iterable[Lines]) -> Lines:
-        parts = list(some)
-        columns = (np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "values", "line"))
-        return Lines(*columns, lines.geographic)
 
-    return [
-        (
-            joined(p for p, f in zip(pieces, number, strict=True) if f != k),
-            joined(p for p, f in zip(pieces, number, strict=True) if f == k),
-        )
-        for k in range(folds)
-    ]
+def fold_maps(lines: Lines, *, folds: int = 3, **map_options: Any) -> list[GridMap]:  # noqa: ANN401 - options of map_from_lines
+    """The maps that `calibrate_navigation` makes, one a fold, each of the lines that are kept: for several reports on the same maps."""
+    return [map_from_lines(kept, **map_options) for kept, _ in _folds(lines, folds)]
 
 
 def calibrate_navigation(
@@ -305,7 +296,8 @@ def calibrate_navigation(
     position_sigma_m : position error at the start, a standard deviation on each axis, told to the filter; kilometres make it an acquisition.
     sensor : what is added to the readings; `FieldSensor()` by default (a bias of up to 50, a swing over hours, half a unit of noise, one outlier of 100 in a hundred).
     simulation : 'equations' draws the INS by its error equations, 'strapdown' by integrating its own readings (pyins, extra `ins`; maps in degrees).
-    method : 'navigator'; 'ekf' and 'rbpf', textbook filters; 'windows', matched windows fed to `InsFeedback`.
+    method : 'navigator'; 'smoothed', with what came after each step (the whole flight, or `smooth=` seconds); 'ekf', a textbook filter with the noise of the sensor alone
+        (`reading_sigma=`); 'windows', matched windows fed to `InsFeedback`.
     maps : maps of the lines that are kept, one a fold, instead of making them.
     disturb : called with the flight, the INS's output, the readings and a generator, returns readings as they are to be: outages, jumps, a stuck sensor.
     bound : whether to compute the Cramer-Rao bound along the true paths, for `ratio`.
@@ -409,13 +401,17 @@ def _run(
     if method == "windows":
         error, covariance, level, status = _windows(grid, flight, shown, readings, ins, position_sigma_m)
     else:
-        more = options if method == "navigator" else {**options, "method": method}
+        more = {"navigator": {}, "smoothed": {"smooth": "flight"}, "ekf": {"method": "ekf"}}[method] | options
         flown: Navigation = navigate(
             grid, shown.time_s, shown.x, shown.y, velocity_m_s=shown.velocity_m_s, heading_deg=shown.heading_deg,
             readings=readings, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **more,
         )  # fmt: skip
-        error = np.column_stack([flown.x - true_x, flown.y - true_y]) * scales_m(true_y, geographic=flight.geographic)
-        covariance, level, status = flown.covariance_m2, flown.protection_level_m, flown.status
+        smoothed = method == "smoothed"
+        error = flown.error_m(true_x, true_y, smoothed=smoothed)
+        covariance = flown.covariance_m2
+        if smoothed and flown.smooth_covariance_m2 is not None:
+            covariance = flown.smooth_covariance_m2
+        level, status = flown.protection_level_m, flown.status
     return FlightRun(
         *key,
         flight.time_s,
@@ -429,13 +425,21 @@ def _run(
 
 
 def _bound(
-    grid: GridMap, flight: LineFlight, readings: Array, ins: InsModel, position_sigma_m: float, options: dict[str, Any]
+    grid: GridMap,
+    flight: LineFlight,
+    readings: Array,
+    ins: InsModel,
+    position_sigma_m: float,
+    options: dict[str, Any],
 ) -> Array:
-    from geomag._geomag import Navigator
-
-    navigator = Navigator(grid, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **options)
-    path = np.column_stack([flight.time_s, flight.x, flight.y])
-    return np.asarray(navigator.predict_bound(path, read=np.isfinite(readings)), dtype=np.float64)
+    """Cramer-Rao bound along the true path with its readings; between readings, and before the first, that of the nearest."""
+    read = np.flatnonzero(np.isfinite(readings))
+    path = (flight.time_s[read], flight.x[read], flight.y[read])
+    known = {k: v for k, v in options.items() if k not in ("smooth", "progress")}
+    navigator = Navigator(grid, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **known)
+    bound = np.asarray(navigator.predict_bound(*path), dtype=np.float64)
+    at = np.clip(np.searchsorted(flight.time_s[read], flight.time_s), 0, read.size - 1)
+    return np.asarray(bound[at], dtype=np.float64)
 
 
 #: Windows of the method 'windows': samples, time between two matches, what the covariance of a fix is multiplied by, walk of the velocity (m/s per square root of a second).
