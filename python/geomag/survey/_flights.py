@@ -69,7 +69,8 @@ def learn_from_flights(
     >>> grid = geomag.GridMap(field.sample(*(a.ravel() for a in np.meshgrid(axis, axis))).reshape(61, 61), axis, axis)
     >>> along = np.arange(500.0, 14_500.0, 50.0)
     >>> flights = [geomag.Track(along, 0 * along + y, field.sample(along, 0 * along + y)) for y in (3030.0, 7720.0, 12_330.0)]
-    >>> model = survey.learn_from_flights(grid, flights, spacing_m=200.0, half_width_m=1000.0, tolerance_m=250.0)
+    >>> options = {"spacing_m": 200.0, "half_width_m": 1000.0, "tolerance_m": 250.0, "samples": 20}
+    >>> model = survey.learn_from_flights(grid, flights, **options)
     >>> survey.with_errors(grid, None, model).sigma.shape
     (61, 61)
     """
