@@ -38,7 +38,12 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 /// geographic : bool
 ///     Whether the coordinates are degrees.
 /// sigma : float or array of the shape of values, optional
-///     Standard deviation of the stored values against the true field, value units.
+///     Standard deviation of the stored values against the true field, value units. 0 says that the nodes are exact; what lies between
+///     them is still the map's to guess (see `interpolation=` of the matchers).
+/// correlation_m : float, optional
+///     Length over which those errors decorrelate, metres; one cell where nothing is said. A map gridded from survey lines errs over about
+///     one or two line spacings; one whose nodes were measured one by one not at all (0). The longer it is, the fewer samples count as
+///     independent. A learnt error model takes its place.
 /// name, units, crs : str, optional
 ///     Carried along.
 ///
@@ -121,7 +126,8 @@ impl PyGridMap {
 #[pymethods]
 impl PyGridMap {
     #[new]
-    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, name = None, units = None, crs = None))]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, name = None,
+        units = None, crs = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -129,6 +135,7 @@ impl PyGridMap {
         y: &Bound<'_, PyAny>,
         geographic: bool,
         sigma: Option<&Bound<'_, PyAny>>,
+        correlation_m: Option<f64>,
         name: Option<String>,
         units: Option<String>,
         crs: Option<String>,
@@ -160,6 +167,7 @@ impl PyGridMap {
             };
             inner = inner.with_sigma(Some(layer))?;
         }
+        let inner = inner.with_correlation_m(correlation_m)?;
         Ok(Self { inner: Arc::new(inner), name, units, crs })
     }
 
@@ -236,6 +244,12 @@ impl PyGridMap {
         };
         let model = MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer };
         Ok(self.with_model(Some(model))?)
+    }
+
+    /// Length over which the errors that `sigma` states decorrelate, metres; None where nothing was said.
+    #[getter]
+    fn correlation_m(&self) -> Option<f64> {
+        self.inner.correlation_m()
     }
 
     /// The statistics of the map's errors as a dictionary, or None.
@@ -386,9 +400,10 @@ impl PyGridMap {
         let (x, y) = (this.inner.x(), this.inner.y());
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
+        let correlation_m = this.inner.correlation_m();
         let model = this.error_model(py)?;
-        let arguments =
-            (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model).into_pyobject(py)?;
+        let arguments = (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model, correlation_m)
+            .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
@@ -401,6 +416,7 @@ impl PyGridMap {
         sigma: Option<&Bound<'_, PyAny>>,
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
+        correlation_m: Option<f64>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -413,7 +429,8 @@ impl PyGridMap {
                 Err(_) => MapSigma::Grid(matrix("sigma", s)?.0),
             }),
         };
-        let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?;
+        let inner =
+            GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_correlation_m(correlation_m)?;
         let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
         let Some(model) = model else { return Ok(map) };
         let number = |key: &str| -> PyRes<f64> {

@@ -1,11 +1,13 @@
 //! The stored map: a regular grid of field values with interpolation, gradient, holes and error.
 
 mod axis;
+mod continued;
 mod nodes;
 mod sample;
 
 pub use axis::Axis;
 pub(crate) use axis::split_position;
+pub(crate) use continued::HEIGHTS_M;
 pub use nodes::{GridValues, MapSigma};
 pub use sample::Interpolation;
 
@@ -40,7 +42,9 @@ pub struct GridMap {
     holes: Holes,
     mean: f64,
     sigma: Option<MapSigma>,
+    correlation_m: Option<f64>,
     error_model: Option<MapErrorModel>,
+    continued: continued::Continued,
 }
 
 impl GridMap {
@@ -134,7 +138,18 @@ impl GridMap {
         if count == 0 {
             return Err(Error::invalid("map values", "at least one value that is not NaN", "only NaN"));
         }
-        Ok(Self { x, y, values, geographic, holes, mean: origin + sum / count as f64, sigma: None, error_model: None })
+        Ok(Self {
+            x,
+            y,
+            values,
+            geographic,
+            holes,
+            mean: origin + sum / count as f64,
+            sigma: None,
+            correlation_m: None,
+            error_model: None,
+            continued: continued::Continued::default(),
+        })
     }
 
     /// The same map with the standard deviation of its values.
@@ -166,6 +181,26 @@ impl GridMap {
         }
         self.sigma = sigma;
         Ok(self)
+    }
+
+    /// The same map with the length over which the errors that its sigma states decorrelate, metres: 0 for errors of every place
+    /// their own, `None` where nothing is known of it.
+    ///
+    /// An error model takes its place where there is one.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a negative or infinite one.
+    pub fn with_correlation_m(mut self, correlation_m: Option<f64>) -> Result<Self> {
+        if let Some(length) = correlation_m {
+            crate::error::require_not_negative("correlation_m", length)?;
+        }
+        self.correlation_m = correlation_m;
+        Ok(self)
+    }
+
+    /// Length over which the errors that the map's sigma states decorrelate, metres.
+    pub fn correlation_m(&self) -> Option<f64> {
+        self.correlation_m
     }
 
     /// The same map with the statistics of its errors.
@@ -257,7 +292,10 @@ impl GridMap {
         });
         let x = Axis::new(self.x.at(columns.start), self.x.step(), columns.len())?;
         let y = Axis::new(self.y.at(rows.start), self.y.step(), rows.len())?;
-        Self::from_axes(values, x, y, self.geographic)?.with_sigma(sigma)?.with_error_model(error_model)
+        Self::from_axes(values, x, y, self.geographic)?
+            .with_sigma(sigma)?
+            .with_correlation_m(self.correlation_m)?
+            .with_error_model(error_model)
     }
 }
 

@@ -5,8 +5,12 @@
 //! capture it) and integrated out by Laplace's method with the expected information (nu + 1) / ((nu + 3) s^2).
 //!
 //! Beside the density at the candidate itself there is its bound over the candidate's cell: every residual may be
-//! smaller by as much as the map changes within the cell, |dm/dx| h_x + |dm/dy| h_y and the bend of the map over it.
-//! What the bound rules out holds no place that the density would have found.
+//! smaller by as much as the map changes within the cell, |dm/dx| h_x + |dm/dy| h_y and the bend of the map over it, and its
+//! variance as small as anywhere in the cell. What the bound rules out holds no place that the density would have found.
+//!
+//! Between the nodes the map is a bilinear surface plus `blend` times what the bicubic one (Keys, IEEE Trans. Acoust. Speech
+//! Signal Process. 29 (1981) 1153) differs by: with second differences D at the nodes and q(t) = t (1 - t) / 2, that is
+//! -q(u) Dx - q(v) Dy + q(u) q(v) Dxy, each interpolated. A standard deviation of the same size is what the map cannot say.
 //!
 //! Values are in units of the sensor's standard deviation, so that single precision suffices for the samples; sums over
 //! samples are in double precision.
@@ -17,7 +21,8 @@ mod integral;
 use std::ops::Range;
 
 use super::model::{LEVELS, Level};
-use super::patch::{BEND, Cells, DISTANCE, Patch, Place, VALUE, VARIANCE};
+use super::nuisance::Shape;
+use super::patch::{ACROSS, BEND, Cells, DISTANCE, Patch, Place, TWIST, UP, VALUE, VARIANCE};
 pub(super) use closely::{Detail, detail};
 use integral::{Tails, nuisances, one_bias, weigh};
 
@@ -25,8 +30,11 @@ use integral::{Tails, nuisances, one_bias, weigh};
 pub(super) const LANES: usize = 16;
 /// Multipliers of the variance in successive reweightings.
 const WIDENING: [f32; 4] = [100.0, 9.0, 1.0, 1.0];
-/// Most nuisance parameters: bias, heading, scale, drift east and north.
-const MOST: usize = 5;
+/// Most nuisance parameters: bias, heading, scale, drift east and north, legs, walk of the bias, and one more effect that is tested.
+pub(super) const MOST: usize = 16;
+/// Sizes for which there is room in less.
+const FEW: usize = 2;
+const SOME: usize = 5;
 
 type Lane = [f32; LANES];
 type Wide = [f64; LANES];
@@ -49,11 +57,15 @@ pub(super) struct Setup<'a> {
     pub blur_m2: [f32; 2],
     /// In units squared.
     pub sensor_variance: f32,
+    /// Whether any level is about another surface than the bilinear one.
+    pub cubic: bool,
+    /// What the map may do between its nodes, in units of its bend, in the reach of a bound that stands for all levels.
+    pub cover: f32,
     pub levels: &'a [Level],
     /// None: no bias at all; infinite: unknown without bound. In units.
     pub bias_sigma: Option<f64>,
-    /// Displacement in metres per standard deviation of every other nuisance parameter: `shapes[parameter][sample]`.
-    pub shapes: &'a [Vec<[f32; 2]>],
+    /// What every other nuisance parameter does to the samples per standard deviation.
+    pub shapes: &'a [Shape],
     /// Those standard deviations over the prior's, where the prior is divided.
     pub narrowed: &'a [f64],
     pub min_overlap: f64,
@@ -67,6 +79,8 @@ pub(super) struct Scores {
     pub distance: Lane,
     /// Mean map variance along the track, units squared.
     pub map_variance: Lane,
+    /// Mean square of what the map cannot say between its nodes, units squared.
+    pub between: Lane,
 }
 
 impl Scores {
@@ -76,6 +90,7 @@ impl Scores {
             log_likelihood: [[f64::NEG_INFINITY; LANES]; LEVELS],
             distance: [0.0; LANES],
             map_variance: [0.0; LANES],
+            between: [0.0; LANES],
         }
     }
 
@@ -108,7 +123,14 @@ impl Scores {
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 struct Row {
+    /// From the bilinear surface, and what the bicubic one adds to that.
     residual: Lane,
+    curve: Lane,
+    /// From the surface of the level at hand.
+    error: Lane,
+    /// Square of what the map cannot say between its nodes: the most of it, and the least within the cell of a bound.
+    between: Lane,
+    least_between: Lane,
     map_variance: Lane,
     extra_variance: Lane,
     known: Lane,
@@ -122,6 +144,10 @@ struct Row {
 
 const EMPTY: Row = Row {
     residual: [0.0; LANES],
+    curve: [0.0; LANES],
+    error: [0.0; LANES],
+    between: [0.0; LANES],
+    least_between: [0.0; LANES],
     map_variance: [0.0; LANES],
     extra_variance: [1.0; LANES],
     known: [0.0; LANES],
@@ -160,18 +186,14 @@ impl<const BOUND: bool> pulp::WithSimd for Block<'_, '_, BOUND> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _simd: S) -> Scores {
-        if self.setup.patch.even {
-            fill::<BOUND, true>(self.setup, self.offsets, self.scratch);
-        } else {
-            fill::<BOUND, false>(self.setup, self.offsets, self.scratch);
-        }
+        fill::<BOUND>(self.setup, self.offsets, self.scratch);
         evaluate::<BOUND>(self.setup, self.levels, self.scratch)
     }
 }
 
 /// Samples the map along the track at every candidate.
 #[inline(always)]
-fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
+fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
     let n = setup.places.len();
     scratch.rows.resize(n, EMPTY);
     let unit = setup.per_unit;
@@ -179,6 +201,8 @@ fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64;
     let ([blur_x, blur_y], sensor_variance) = (setup.blur_m2, setup.sensor_variance);
     let [half_x, half_y] = setup.half_cells;
     let half = half_x.max(half_y);
+    // A surface that bends twice as much as the bilinear one does at its nodes.
+    let bends = if setup.cubic { 1.5 } else { 1.0 };
     let cells = Cells::new(offsets);
     let [even_variance, even_distance] = setup.patch.everywhere();
     for k in 0..n {
@@ -204,21 +228,42 @@ fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64;
             let (left, right) = (e[l] - a[l], f[l] - b[l]);
             let (gx, gy) = (low + v[l] * (high - low), left + u[l] * (right - left));
             let (gx_m, gy_m) = (gx * per_east, gy * per_north);
-            let curved = 0.5 * bend[l] * (u[l] * (1.0 - u[l])).max(v[l] * (1.0 - v[l])) * unit;
-            let extra = sensor_variance + curved * curved * (1.0 / 3.0) + gx_m * gx_m * blur_x + gy_m * gy_m * blur_y;
+            let extra = sensor_variance + gx_m * gx_m * blur_x + gy_m * gy_m * blur_y;
             let on = known[l] > 0.0;
             extra_variance[l] = extra;
+            let bent = if on { 0.5 * bend[l] * unit } else { 0.0 };
+            if BOUND {
+                let (least_u, most_u) = off_node_within(u[l], half_x);
+                let (least_v, most_v) = off_node_within(v[l], half_y);
+                let (least, most) = (bent * least_u.max(least_v), bent * most_u.max(most_v));
+                (row.between[l], row.least_between[l]) = (most * most, least * least);
+            } else {
+                let curved = bent * off_node(u[l]).max(off_node(v[l]));
+                row.between[l] = curved * curved;
+            }
             row.gradient[0][l] = if on { gx_m } else { 0.0 };
             row.gradient[1][l] = if on { gy_m } else { 0.0 };
             if BOUND {
-                let reach = (half_x * gx.abs() + half_y * gy.abs() + half * bend[l]) * unit;
+                let reach = (half_x * gx.abs() + half_y * gy.abs() + (half * bends + setup.cover) * bend[l]) * unit;
                 row.reach[l] = if on { reach } else { 0.0 };
             }
         }
         for l in 0..LANES {
             row.extra_variance[l] = if known[l] > 0.0 { extra_variance[l] } else { 1.0 };
         }
-        if EVEN {
+        if setup.cubic {
+            let across = setup.patch.read::<ACROSS>(&cells, &mut spots).mixed(&spots);
+            let up = setup.patch.read::<UP>(&cells, &mut spots).mixed(&spots);
+            let twist = setup.patch.read::<TWIST>(&cells, &mut spots).mixed(&spots);
+            for l in 0..LANES {
+                let (qu, qv) = (0.5 * off_node(u[l]), 0.5 * off_node(v[l]));
+                let curve = (qu * qv * twist[l] - qu * across[l] - qv * up[l]) * unit;
+                row.curve[l] = if known[l] > 0.0 { curve } else { 0.0 };
+            }
+        } else {
+            row.curve = [0.0; LANES];
+        }
+        if setup.patch.even {
             for l in 0..LANES {
                 row.map_variance[l] = known[l] * even_variance * unit * unit;
                 row.distance[l] = known[l] * even_distance;
@@ -235,39 +280,61 @@ fn fill<const BOUND: bool, const EVEN: bool>(setup: &Setup<'_>, offsets: &[[f64;
     }
 }
 
+/// How far a place is from the nodes on either side of it: 0 at a node, 1/4 half way.
+#[inline(always)]
+fn off_node(t: f32) -> f32 {
+    t * (1.0 - t)
+}
+
+/// The least and the most of that within `half` of a place.
+#[inline(always)]
+fn off_node_within(t: f32, half: f32) -> (f32, f32) {
+    let (below, above) = (off_node(t - half), off_node(t + half));
+    let most = if (t - 0.5).abs() <= half { 0.25 } else { below.max(above) };
+    (below.min(above).max(0.0), most)
+}
+
 #[inline(always)]
 fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch: &mut Scratch) -> Scores {
     let n = setup.places.len();
     let (mut count, mut distance, mut map_variance) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
+    let mut between = [0.0; LANES];
     for row in &scratch.rows {
         for l in 0..LANES {
             count[l] += row.known[l];
             distance[l] += row.distance[l];
             map_variance[l] += row.map_variance[l];
+            between[l] += row.between[l];
         }
     }
     for l in 0..LANES {
         distance[l] /= count[l].max(1.0);
         map_variance[l] /= count[l].max(1.0);
+        between[l] /= count[l].max(1.0);
     }
     let needed = (setup.min_overlap * n as f64).max(1.0);
     let mut out = [[f64::NEG_INFINITY; LANES]; LEVELS];
     let mut bias = [0.0; LANES];
     let mut theta = [[0.0; LANES]; MOST];
-    let mut weighed: Option<(f64, Wide)> = None;
+    let mut weighed: Option<(Level, Wide)> = None;
     for index in levels {
         let level = &setup.levels[index];
-        // A level that differs from the one before in its tails only has the same variances, and nearly the same bias.
+        // A level that differs from the one before in its tails only has the same variances; the bias is nearly the same anyhow.
         let (mut lane, turns) = match weighed {
-            Some((factor, lane)) if factor == level.factor => (lane, &WIDENING[WIDENING.len() - 1..]),
-            Some(_) => (weigh(scratch, (level.factor * level.factor) as f32), &WIDENING[1..]),
-            None => (weigh(scratch, (level.factor * level.factor) as f32), &WIDENING[..]),
+            Some((before, lane)) if before.same_surface(level) => (lane, &WIDENING[WIDENING.len() - 1..]),
+            Some(_) => (weigh::<BOUND>(scratch, level), &WIDENING[1..]),
+            None => (weigh::<BOUND>(scratch, level), &WIDENING[..]),
         };
-        weighed = Some((level.factor, lane));
+        weighed = Some((*level, lane));
         if setup.shapes.is_empty() {
             one_bias::<BOUND>(setup, scratch, Tails::of(level), turns, &mut bias, &mut lane);
         } else {
-            let log = nuisances::<BOUND>(setup, scratch, Tails::of(level), turns, &mut theta);
+            let tails = Tails::of(level);
+            let log = match setup.shapes.len() + usize::from(setup.bias_sigma.is_some()) {
+                0..=FEW => nuisances::<BOUND, FEW>(setup, scratch, tails, turns, &mut theta),
+                0..=SOME => nuisances::<BOUND, SOME>(setup, scratch, tails, turns, &mut theta),
+                _ => nuisances::<BOUND, MOST>(setup, scratch, tails, turns, &mut theta),
+            };
             for l in 0..LANES {
                 lane[l] += log[l];
             }
@@ -278,5 +345,5 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
             out[index][l] = if count >= needed { lane[l] * (n as f64 / count.max(1.0)) } else { f64::NEG_INFINITY };
         }
     }
-    Scores { log_likelihood: out, distance, map_variance }
+    Scores { log_likelihood: out, distance, map_variance, between }
 }

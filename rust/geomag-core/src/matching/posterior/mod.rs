@@ -25,6 +25,7 @@ mod decide;
 mod density;
 mod goodness;
 mod kernel;
+mod misfit;
 mod model;
 mod nuisance;
 mod patch;

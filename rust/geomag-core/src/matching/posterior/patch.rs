@@ -3,7 +3,7 @@
 use super::kernel::LANES;
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::grid::MapSigma;
+use crate::grid::{GridMap, MapSigma};
 use crate::map_error::DistanceLayer;
 
 /// Where nothing is known of a map's error, it is taken to be displaced by this many cells.
@@ -19,11 +19,16 @@ const PART_TOLERANCE: f32 = 4e-7;
 /// Most rows of the lattice in one block up to which the map is read in rows.
 const RUNS: usize = 3;
 
-/// Planes of a patch: value minus level, error variance, distance to data, largest second difference.
+/// Planes of a patch: value minus level, error variance, distance to data, largest second difference, the second differences along x
+/// and y, and that along y of those along x.
 pub(super) const VALUE: usize = 0;
 pub(super) const VARIANCE: usize = 1;
 pub(super) const DISTANCE: usize = 2;
 pub(super) const BEND: usize = 3;
+pub(super) const ACROSS: usize = 4;
+pub(super) const UP: usize = 5;
+pub(super) const TWIST: usize = 6;
+const PLANES: usize = 7;
 /// A window of the map, a plane a quantity.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
@@ -35,7 +40,7 @@ pub(super) struct Patch {
     first: [i64; 2],
     columns: usize,
     rows: usize,
-    planes: [Vec<f32>; 4],
+    planes: [Vec<f32>; PLANES],
     /// Value subtracted from every node, so that single precision suffices.
     pub level: f64,
     /// Whether error variance and distance are the same at every node.
@@ -52,6 +57,8 @@ pub(super) struct Sample {
     pub gradient: [f32; 2],
     /// What a curve through the nodes would differ by from the straight line between them.
     pub curvature: f32,
+    /// Largest second difference at the nodes around.
+    pub bend: f32,
 }
 
 /// Up to [`LANES`] offsets in cells, as whole cells and the rest; the last is repeated where there are fewer.
@@ -111,6 +118,10 @@ impl Cells {
         }
         cells
     }
+}
+
+fn finite_or_zero(value: f32) -> f32 {
+    if value.is_finite() { value } else { 0.0 }
 }
 
 /// A place in cells of the patch: whole cells, and the rest in [0, 1].
@@ -266,24 +277,59 @@ impl Patch {
         Ok(patch)
     }
 
+    /// The same window of the map continued upward to one of [`HEIGHTS_M`](crate::grid::HEIGHTS_M).
+    pub fn lifted(&self, grid: &GridMap, height: usize) -> Self {
+        let continued = grid.continued(height);
+        let mut lifted = self.clone();
+        let columns = grid.x().len();
+        for r in 0..self.rows {
+            let from = (self.first[1] as usize + r) * columns + self.first[0] as usize;
+            if let Some(row) = continued.get(from..from + self.columns) {
+                let to = &mut lifted.planes[VALUE][r * self.columns..(r + 1) * self.columns];
+                for (to, (v, told)) in to.iter_mut().zip(row.iter().zip(&self.planes[VALUE][r * self.columns..])) {
+                    *to = if told.is_nan() { f32::NAN } else { *v };
+                }
+            }
+        }
+        lifted.fill_bends();
+        lifted
+    }
+
     /// Root mean square of the largest second difference at a node, value units.
     pub fn typical_bend(&self) -> f64 {
         let sum: f64 = self.planes[BEND].iter().map(|bend| f64::from(*bend).powi(2)).sum();
         (sum / self.planes[BEND].len() as f64).sqrt()
     }
 
-    /// Second differences of the values: what bilinear interpolation leaves out.
+    /// Second differences of the values: what bilinear interpolation leaves out. On the border those of the row or column inside it,
+    /// which continue the map as a parabola; zero beside holes.
     fn fill_bends(&mut self) {
         let (columns, rows) = (self.columns, self.rows);
-        let [values, .., bends] = &mut self.planes;
+        let [values, _, _, bends, across, up, twist] = &mut self.planes;
+        let along_x = |plane: &[f32], r: usize, c: usize| {
+            if columns < 3 {
+                return 0.0;
+            }
+            let i = r * columns + c.clamp(1, columns - 2);
+            finite_or_zero(plane[i - 1] + plane[i + 1] - 2.0 * plane[i])
+        };
+        let along_y = |plane: &[f32], r: usize, c: usize| {
+            if rows < 3 {
+                return 0.0;
+            }
+            let i = r.clamp(1, rows - 2) * columns + c;
+            finite_or_zero(plane[i - columns] + plane[i + columns] - 2.0 * plane[i])
+        };
         for r in 0..rows {
             for c in 0..columns {
-                let at = |r: usize, c: usize| values[r * columns + c];
-                let middle = at(r, c);
-                let across = if c > 0 && c + 1 < columns { at(r, c - 1) + at(r, c + 1) - 2.0 * middle } else { 0.0 };
-                let along = if r > 0 && r + 1 < rows { at(r - 1, c) + at(r + 1, c) - 2.0 * middle } else { 0.0 };
-                let bend = across.abs().max(along.abs());
-                bends[r * columns + c] = if bend.is_finite() { bend } else { 0.0 };
+                let i = r * columns + c;
+                (across[i], up[i]) = (along_x(values, r, c), along_y(values, r, c));
+                bends[i] = across[i].abs().max(up[i].abs());
+            }
+        }
+        for r in 0..rows {
+            for c in 0..columns {
+                twist[r * columns + c] = along_y(across, r, c);
             }
         }
     }
@@ -343,7 +389,7 @@ impl Patch {
     #[inline(always)]
     pub fn at(&self, px: f64, py: f64) -> Sample {
         const UNKNOWN: Sample =
-            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0 };
+            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         if !(px >= -NODE_TOLERANCE
             && py >= -NODE_TOLERANCE
@@ -367,7 +413,7 @@ impl Patch {
         let (value, bend) = (mix([a, b, e, f]), of(BEND));
         let slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
-        Sample { value, variance, distance, gradient: slope, curvature }
+        Sample { value, variance, distance, gradient: slope, curvature, bend }
     }
 
     /// Where a place (cells of the patch) lies at every offset.
@@ -486,7 +532,7 @@ impl Patch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::{GridMap, GridValues};
+    use crate::grid::GridValues;
 
     /// A map of 20 by 15 nodes with a hole, or one whose sigma differs from node to node.
     fn patch(uneven: bool) -> Patch {

@@ -59,7 +59,11 @@ fn predict_interruptible(
     seed: u64,
     monitor: &dyn Monitor,
 ) -> Result<Prediction> {
-    let values: Vec<f64> = (0..track.len()).map(|k| field.value(track.x()[k], track.y()[k])).collect();
+    let value = |k: usize| {
+        let (x, y) = (track.x()[k], track.y()[k]);
+        field.as_grid().map_or_else(|| field.value(x, y), |grid| grid.sample(x, y, options.interpolation))
+    };
+    let values: Vec<f64> = (0..track.len()).map(value).collect();
     let known = values.iter().filter(|v| v.is_finite()).count();
     if known == 0 {
         return Err(Error::invalid("planned track", "a track on the map", "no sample on a known cell"));

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions};
-use super::nuisance::{Node, Nuisance, reach_m};
+use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
+use super::nuisance::{Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -73,9 +73,16 @@ impl<'a> Interruption<'a> {
 pub(super) struct Problem<'a> {
     pub options: &'a PosteriorOptions,
     pub field: &'a dyn Field,
+    /// The maps of all channels.
+    pub fields: Vec<&'a dyn Field>,
     pub channels: Vec<Prepared>,
-    samples: usize,
-    nuisance: Nuisance,
+    pub samples: usize,
+    pub nuisance: Nuisance,
+    /// Which straight leg every sample belongs to, and its age from 1 (first) to 0 (newest).
+    pub legs: Vec<usize>,
+    pub age: Vec<f64>,
+    /// Displacement of every sample from the newest, metres `[east, north]`.
+    pub away_m: Vec<[f64; 2]>,
     /// Metres per map unit.
     pub scale_m: [f64; 2],
     pub cell: [f64; 2],
@@ -86,23 +93,25 @@ pub(super) struct Problem<'a> {
 
 /// One channel, made ready.
 pub(super) struct Prepared {
-    patch: Arc<Patch>,
+    pub patch: Arc<Patch>,
     /// Indicated positions at every node of the nuisance parameters, in cells of the patch: `places[node][sample]`.
     places: Vec<Vec<Place>>,
     /// Indicated positions, cells of the patch.
     indicated: Vec<[f64; 2]>,
     /// Measured values minus the patch's level, value units.
-    values: Vec<f32>,
+    pub values: Vec<f32>,
     pub noise: Noise,
     cell_m: [f64; 2],
     /// Unit of the kernel's residuals, value units.
-    unit: f64,
+    pub unit: f64,
 }
 
 /// What of one channel is looked at: error levels and nodes of the nuisance parameters.
 #[derive(Debug, Clone)]
 pub(super) struct Scope {
     pub levels: Range<usize>,
+    /// Whether the bound under the one level stands for all.
+    pub cover: bool,
     pub nodes: Vec<usize>,
 }
 
@@ -121,6 +130,9 @@ pub(super) type Likelihoods = Vec<Scored>;
 const LINEAR: f64 = 0.2;
 /// Bounds of the displacement that is taken as linear, cells of the map.
 const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
+/// What a field may do between the nodes of an exact map, in units of its second difference there: half as much again as the bicubic
+/// surface, which differs from the bilinear one by up to an eighth along either axis.
+const COVER: f32 = 0.375;
 /// Samples times candidates times levels below which one thread is faster than several.
 const PARALLEL: usize = 16_000;
 
@@ -226,9 +238,13 @@ impl<'a> Problem<'a> {
         Ok(Self {
             options,
             field,
+            fields: channels.iter().map(|c| c.field).collect(),
             channels: prepared,
             samples: n,
             nuisance,
+            legs: legs(&away),
+            age,
+            away_m: away,
             scale_m,
             cell,
             tolerance_m,
@@ -250,12 +266,10 @@ impl<'a> Problem<'a> {
             half_cells: channel.cells(step).map(|s| (0.5 * s) as f32),
             blur_m2: [blur(0), blur(1)],
             sensor_variance: channel.sensor_variance() as f32,
+            cubic: channel.noise.levels.iter().any(|l| l.blend != 0.0),
+            cover: 0.0,
             levels: &channel.noise.levels,
-            bias_sigma: match self.options.bias_sigma {
-                None => Some(f64::INFINITY),
-                Some(0.0) => None,
-                Some(s) => Some(s / channel.unit),
-            },
+            bias_sigma: bias_prior(self.options.bias_sigma, channel.unit),
             shapes: &self.nuisance.shapes,
             narrowed: &self.nuisance.narrowed,
             min_overlap: self.options.min_overlap,
@@ -265,16 +279,19 @@ impl<'a> Problem<'a> {
     /// Everything there is to look at.
     pub fn whole(&self) -> Vec<Scope> {
         let nodes: Vec<usize> = (0..self.nuisance.nodes.len()).collect();
-        self.channels.iter().map(|c| Scope { levels: 0..c.noise.levels.len(), nodes: nodes.clone() }).collect()
+        self.channels
+            .iter()
+            .map(|c| Scope { levels: 0..c.noise.levels.len(), cover: false, nodes: nodes.clone() })
+            .collect()
     }
 
-    /// The part of a scope over which bounds are taken: see [`Noise::bounded`].
-    pub fn bounded(&self, scopes: &[Scope]) -> Vec<Scope> {
-        let within = |(channel, scope): (&Prepared, &Scope)| {
-            let levels = scope.levels.start..scope.levels.end.min(channel.noise.bounded).max(scope.levels.start + 1);
-            Scope { levels, nodes: scope.nodes.clone() }
+    /// The part of a scope over which bounds are taken at the first stage: the first level where it stands for all.
+    pub fn covered(&self, scopes: &[Scope]) -> Vec<Scope> {
+        let first = |(channel, scope): (&Prepared, &Scope)| {
+            let levels = if channel.noise.covered { 0..1 } else { scope.levels.clone() };
+            Scope { levels, cover: channel.noise.covered, nodes: scope.nodes.clone() }
         };
-        self.channels.iter().zip(scopes).map(within).collect()
+        self.channels.iter().zip(scopes).map(first).collect()
     }
 
     /// Log-likelihoods of these offsets in the scope of every channel: densities, or bounds over cells of this step.
@@ -328,6 +345,11 @@ impl<'a> Problem<'a> {
             let mut setup = self.setup(channel, node, step);
             if BOUND {
                 setup.blur_m2 = [self.options.position_sigma_m.powi(2) as f32; 2];
+                if scope.cover {
+                    // The first level is about the surface that was named; the bends in its reach stand for the others.
+                    setup.cover = COVER;
+                    setup.cubic = false;
+                }
             }
             let mut scores = kernel::score::<BOUND>(&setup, cells, scope.levels.clone(), scratch);
             if self.nuisance.nodes.len() > 1 {
@@ -343,12 +365,12 @@ impl<'a> Problem<'a> {
     }
 
     /// The node at which this offset is the most likely, given an error level.
-    fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
+    pub fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
         let nodes = self.nuisance.nodes.len();
         if nodes == 1 {
             return 0;
         }
-        let scope = Scope { levels: level..level + 1, nodes: (0..nodes).collect() };
+        let scope = Scope { levels: level..level + 1, cover: false, nodes: (0..nodes).collect() };
         let (_, best) =
             self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut Scratch::default());
         (1..nodes).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
@@ -385,12 +407,12 @@ impl<'a> Problem<'a> {
     /// (1980) 383: the prior predictive check).
     fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
         let (map_sigma, distance) = self.along(channel);
-        let map_variance = channel.mean_variance(&map_sigma);
+        let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
         let setup = self.setup(channel, self.best_node(channel, offset, channel.noise.typical, step), step);
         let mut scratch = Scratch::default();
         let tail = |level: Level| {
             let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
-            let (_, temper) = channel.temper(&level, distance, map_variance, self.spacing_m);
+            let (_, temper) = channel.temper(&level, distance, variances, self.spacing_m);
             level.log_prior.exp() * goodness::p_value(&detail, level.nu, temper)
         };
         channel.noise.checked().into_iter().map(tail).sum()
@@ -405,16 +427,21 @@ impl<'a> Problem<'a> {
         let level = levels.iter().copied().fold(levels[0], |a, b| if b.log_prior > a.log_prior { b } else { a });
         // The first node is the likeliest: nothing moved.
         let setup = self.setup(channel, 0, [0.0, 0.0]);
-        let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
+        let mut scratch = Scratch::default();
+        let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut scratch);
+        // Of the stated errors: what the map cannot say between its nodes is no part of the bound.
+        let exact_between = Level { between: 0.0, ..level };
+        let stated = kernel::detail(&setup, [0.0, 0.0], exact_between, &mut scratch);
         let (map_sigma, distance) = self.along(channel);
         let scaled: Vec<f64> = map_sigma.iter().map(|s| level.factor * s).collect();
-        let (share, temper) = channel.temper(&level, distance, channel.mean_variance(&map_sigma), self.spacing_m);
+        let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
+        let (share, temper) = channel.temper(&level, distance, variances, self.spacing_m);
         let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };
         let half = self.options.half_width;
         let prior = [0, 1].map(|d| 3.0 / (half[d] * self.scale_m[d]).powi(2));
-        let invert = |factor: f64| {
-            let [ee, en, nn] = detail.information.map(|i| factor * i);
+        let invert = |information: [f64; 3], factor: f64| {
+            let [ee, en, nn] = information.map(|i| factor * i);
             let (ee, nn) = (ee + prior[0], nn + prior[1]);
             let determinant = ee * nn - en * en;
             [[nn / determinant, -en / determinant], [-en / determinant, ee / determinant]]
@@ -422,7 +449,7 @@ impl<'a> Problem<'a> {
         let registration = share * (noise.registration * distance).powi(2);
         // What the Student-t estimate loses against the normal one where errors are normal: with nu = 3 some 10 %, with 10 some 2 %.
         let loss = 1.0 + 1.0 / (level.nu * level.nu);
-        let mut covariance = invert(temper);
+        let mut covariance = invert(detail.information, temper);
         for (d, row) in covariance.iter_mut().enumerate() {
             for v in row.iter_mut() {
                 *v *= loss;
@@ -430,7 +457,7 @@ impl<'a> Problem<'a> {
             row[d] += registration;
         }
         Expected {
-            bound: invert(1.0),
+            bound: invert(stated.information, 1.0),
             covariance,
             coefficient,
             map_sigma: scaled,
@@ -460,22 +487,40 @@ impl Prepared {
         sigma.iter().map(|s| (s / self.unit).powi(2)).sum::<f64>() / sigma.len().max(1) as f64
     }
 
+    /// Mean square of what the map cannot say between its nodes along the indicated track, kernel units squared.
+    fn between(&self, samples: usize) -> f64 {
+        let square = |p: &[f64; 2]| (f64::from(self.patch.at(p[0], p[1]).curvature) / self.unit).powi(2);
+        self.indicated.iter().map(square).filter(|s| s.is_finite()).sum::<f64>() / samples.max(1) as f64
+    }
+
     /// Length over which the map's errors decorrelate under a level, for a mean distance to the data, metres.
     fn correlation_m(&self, level: &Level, distance: f64) -> f64 {
         self.noise.correlation * distance * if self.noise.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
     }
 
     /// Share of the map in the error variance under a level, and the power to which the likelihood is taken, for a mean
-    /// distance to the data in metres and a mean variance of the map (at factor 1; kernel units squared).
+    /// distance to the data in metres and mean variances of the map (at factor 1) and between its nodes (kernel units squared).
     ///
     /// Errors that decorrelate over a length l are those of an AR(1) series with coefficient exp(-spacing / l), of whose samples
-    /// a share (1 - rho) / (1 + rho) = tanh(spacing / 2 l) is independent.
-    pub fn temper(&self, level: &Level, distance: f64, map_variance: f64, spacing_m: f64) -> (f64, f64) {
-        let length = self.correlation_m(level, distance);
-        let independent = if length > 0.0 { (0.5 * spacing_m / length).tanh().max(1e-3) } else { 1.0 };
-        let variance = level.factor * level.factor * map_variance;
-        let share = variance / (variance + self.sensor_variance());
-        (share, 1.0 / ((1.0 - share) + share / independent))
+    /// a share (1 - rho) / (1 + rho) = tanh(spacing / 2 l) is independent. What a map cannot say between its nodes is the same over
+    /// about a cell of it.
+    pub fn temper(
+        &self,
+        level: &Level,
+        distance: f64,
+        [map_variance, between]: [f64; 2],
+        spacing_m: f64,
+    ) -> (f64, f64) {
+        let independent = |length: f64| if length > 0.0 { (0.5 * spacing_m / length).tanh().max(1e-3) } else { 1.0 };
+        let map = level.factor * level.factor * map_variance;
+        // A learnt sigma holds what lies between the nodes, and its correlation is the learnt one.
+        let between = if self.noise.learnt { 0.0 } else { level.between * level.between * between };
+        let whole = map + between + self.sensor_variance();
+        let cell_m = (self.cell_m[0] * self.cell_m[1]).sqrt();
+        let slowed = self.sensor_variance() / whole
+            + map / whole / independent(self.correlation_m(level, distance))
+            + between / whole / independent(cell_m);
+        (map / whole, slowed.recip())
     }
 
     /// Displacement up to which the map is linear for what this channel can tell, metres.

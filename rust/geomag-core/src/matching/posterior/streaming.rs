@@ -34,6 +34,10 @@ const CHEAP: usize = 800;
 const FEWEST: usize = 3;
 /// Standard deviations of heading, scale and drift by which the offset may have moved between samples.
 const MOVED: f64 = 4.0;
+/// What the field may do between the nodes of the map, in units of its second difference there.
+const BETWEEN: f64 = 0.375;
+/// Part of the window after which the gate is laid out anew, so that it forgets what the window has let go.
+const RENEWED: usize = 4;
 /// Movement in lattice steps that is left to the margins of a search.
 const SETTLED: f64 = 0.1;
 /// Name of the saved state.
@@ -64,6 +68,8 @@ struct State {
     y: Vec<f64>,
     values: Vec<f64>,
     seen: usize,
+    /// Samples let go since the gate was last laid out.
+    let_go: usize,
     lattice: Lattice,
     candidates: Vec<Candidate>,
     /// By how much the offset may have moved since the candidates were last spread, metres.
@@ -167,6 +173,7 @@ impl PosteriorMatcher {
             y: Vec::new(),
             values: Vec::new(),
             seen: 0,
+            let_go: 0,
             lattice,
             candidates,
             moved_m: 0.0,
@@ -185,7 +192,8 @@ impl PosteriorMatcher {
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
         require_finite("sample (x, y, value)", &[x, y, value])?;
         let s = &mut self.state;
-        if s.x.len() == s.max_samples {
+        let full = s.x.len() == s.max_samples;
+        if full {
             s.x.remove(0);
             s.y.remove(0);
             s.values.remove(0);
@@ -196,7 +204,13 @@ impl PosteriorMatcher {
         s.seen += 1;
         self.moved();
         self.spread(0.5);
-        self.gate(x, y, value)?;
+        let s = &mut self.state;
+        s.let_go += usize::from(full);
+        if s.let_go * RENEWED >= s.max_samples {
+            self.renew_gate()?;
+        } else {
+            self.gate(x, y, value)?;
+        }
         let s = &self.state;
         let n = s.x.len();
         if s.candidates.is_empty() {
@@ -302,7 +316,7 @@ impl PosteriorMatcher {
         if numbers.iter().any(|a| a.len() != n || require_finite("samples", a).is_err()) || n > saved.max_samples {
             return refuse("its samples are not finite, or not as many x as y as values");
         }
-        if n > saved.seen || !saved.moved_m.is_finite() {
+        if n > saved.seen || saved.let_go > saved.max_samples || !saved.moved_m.is_finite() {
             return refuse("its counts do not fit its samples");
         }
         matcher.state = saved;
@@ -375,6 +389,21 @@ impl PosteriorMatcher {
         Ok(())
     }
 
+    /// Puts the samples held to the gate anew, so that it forgets those that were let go: where a bias drifts, the interval that
+    /// an old sample allows is not that of today.
+    fn renew_gate(&mut self) -> Result<()> {
+        self.state.let_go = 0;
+        for c in &mut self.state.candidates {
+            *c = Candidate::new(c.offset);
+        }
+        for k in 0..self.state.x.len() {
+            let s = &self.state;
+            let (x, y, value) = (s.x[k], s.y[k], s.values[k]);
+            self.gate(x, y, value)?;
+        }
+        Ok(())
+    }
+
     fn gate(&mut self, x: f64, y: f64, value: f64) -> Result<()> {
         let x = self.field.wrap_x(x);
         self.window()?;
@@ -391,11 +420,12 @@ impl PosteriorMatcher {
         let jitter = o.position_sigma_m.powi(2);
         let (per_x, per_y) = (1.0 / (cell[0] * scale_m[0]), 1.0 / (cell[1] * scale_m[1]));
         let (half_x, half_y) = (half_x + self.state.moved_m * per_x, half_y + self.state.moved_m * per_y);
+        let between = if noise.levels.iter().any(|l| l.between > 0.0) { BETWEEN } else { 0.0 };
         let bias_reach = match o.bias_sigma {
             None => f64::INFINITY,
             Some(s) => 4.0 * s,
         };
-        let allowed = FIRST_MISSES + (MISSES * self.state.seen as f64) as u32;
+        let allowed = FIRST_MISSES + (MISSES * (self.state.x.len() + self.state.let_go) as f64) as u32;
         self.state.candidates.retain_mut(|c| {
             let [px, py] = patch.position(x + c.offset[0], y + c.offset[1]);
             let sample = patch.at(px, py);
@@ -406,9 +436,11 @@ impl PosteriorMatcher {
             let [gx, gy] = sample.gradient.map(f64::from);
             let own = noise.sensor_variance
                 + worst * f64::from(sample.variance)
-                + f64::from(sample.curvature).powi(2)
                 + jitter * ((gx * per_x).powi(2) + (gy * per_y).powi(2));
-            let reach = GATE * own.sqrt() + half_x * gx.abs() + half_y * gy.abs();
+            let reach = GATE * own.sqrt()
+                + half_x * gx.abs()
+                + half_y * gy.abs()
+                + (between + half_x.max(half_y).min(1.0)) * f64::from(sample.bend);
             let residual = value - f64::from(sample.value);
             c.take([residual - reach, residual + reach], bias_reach);
             c.misses <= allowed
