@@ -58,6 +58,7 @@ lint: $(VENV)/built $(VENV)/dev stubs
 	$(BIN)/ruff format --check python tests examples benches
 	$(BIN)/ruff check python tests examples benches
 	$(BIN)/mypy
+	$(BIN)/zizmor --offline --quiet .github
 
 stubs: $(VENV)/built $(VENV)/dev
 	$(BIN)/python -m mypy.stubtest geomag._geomag --allowlist tests/stubtest-allowlist.txt

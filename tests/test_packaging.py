@@ -27,6 +27,8 @@ def test_version_is_in_one_place():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert "version" in project["dynamic"]
     assert "version" not in project
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(rf"^version: {re.escape(geomag.__version__)}$", citation, re.M)
 
 
 def run(code, **environment):
@@ -64,6 +66,17 @@ def test_show_versions_names_what_is_there(capsys):
     shown = capsys.readouterr().out
     assert re.search(rf"^geomag +{re.escape(geomag.__version__)}$", shown, re.M)
     assert re.search(r"^numpy +\d", shown, re.M)
+
+
+def test_the_older_package_of_that_name_is_told(tmp_path, capsys, monkeypatch):
+    folder = tmp_path / "geomag-0.9.2015.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: geomag\nVersion: 0.9.2015\n", encoding="utf-8")
+    geomag.show_versions()
+    assert "warning" not in capsys.readouterr().out
+    monkeypatch.syspath_prepend(str(tmp_path))
+    geomag.show_versions()
+    assert "the package 'geomag' 0.9.2015 is installed too" in capsys.readouterr().out
 
 
 def test_a_missing_extra_is_named():
@@ -120,6 +133,37 @@ def test_wheel_is_fit_for_old_systems(dist):
     tags = [tuple(map(int, t)) for t in re.findall(r"manylinux_(\d+)_(\d+)", shown)]
     assert tags, shown
     assert min(tags) <= (2, 39)
+
+
+@whole
+def test_wheel_for_old_systems_is_cross_built(tmp_path):
+    """Against the C library of 2012 (2.17), as the release workflow does it, with zig as the linker; imported here."""
+    pytest.importorskip("ziglang", reason="the cross-build needs the package ziglang")
+    maturin = shutil.which("maturin", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    auditwheel = Path(sys.executable).parent / "auditwheel"
+    if maturin is None or not auditwheel.exists():
+        pytest.skip("needs maturin and auditwheel")
+    command = [
+        maturin,
+        "build",
+        "--release",
+        "--locked",
+        "--zig",
+        "--compatibility",
+        "manylinux2014",
+        "--out",
+        tmp_path,
+    ]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    assert "manylinux2014" in wheel.name or "manylinux_2_17" in wheel.name
+    shown = subprocess.run([auditwheel, "show", wheel], capture_output=True, text=True, check=True).stdout
+    tags = [tuple(map(int, t)) for t in re.findall(r"manylinux_(\d+)_(\d+)", shown)]
+    assert tags, shown
+    assert min(tags) <= (2, 17), shown
+    python = environment(tmp_path / "env")
+    subprocess.run([python, "-m", "pip", "install", "--quiet", wheel], check=True)
+    subprocess.run([python, "-c", "import geomag"], check=True, cwd=tmp_path)
 
 
 @whole

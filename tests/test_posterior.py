@@ -208,6 +208,27 @@ def test_error_model_stays_with_the_map(grid):
     assert again.error_model["distance_m"] == 150.0
 
 
+def test_what_filters_need_stays_with_the_map(grid):
+    plain = {"nu": 3.0, "scale_spread": 0.3, "correlation": 1.0, "registration": 0.1, "distance_m": 150.0}
+    law = {
+        "sample_factor": 1.8,
+        "batch_factor": 1.6,
+        "crossover": 2.5,
+        "registration_m_per_d": 0.4,
+        "registration_length": 30.0,
+    }
+    assert grid.with_error_model(**plain).error_model == plain
+    layered = grid.with_error_model(**plain, **law)
+    assert layered.error_model == plain | law
+    assert layered.with_error_model(**layered.error_model).error_model == plain | law
+    assert pickle.loads(pickle.dumps(layered)).error_model == plain | law
+    partly = grid.with_error_model(**plain, crossover=2.0).error_model
+    assert partly["crossover"] == 2.0 and set(partly) == set(plain | law)
+    for name in law:
+        with pytest.raises(geomag.InvalidInputError, match=name):
+            grid.with_error_model(**plain, **(law | {name: -1.0}))
+
+
 #: Two tracks over the EMM map, (first, step, offset) of longitude and latitude and readings, at which a search that judges a
 #: coarse cell by a density widened to its size is sure of a place kilometres away: the flat places win.
 LOST_BY_COARSE_DENSITY = [

@@ -28,6 +28,7 @@ class GridMap:
         *,
         geographic: bool = False,
         sigma: ArrayLike | None = None,
+        height_m: ArrayLike | None = None,
         name: str | None = None,
         units: str | None = None,
         crs: str | None = None,
@@ -43,8 +44,21 @@ class GridMap:
     def values(self) -> NDArray[np.float32] | _Floats: ...
     @property
     def sigma(self) -> float | _Floats | None: ...
+    @property
+    def height_m(self) -> float | _Floats | None: ...
     def with_error_model(
-        self, *, nu: float, scale_spread: float, correlation: float, registration: float, distance_m: ArrayLike
+        self,
+        *,
+        nu: float,
+        scale_spread: float,
+        correlation: float,
+        registration: float,
+        distance_m: ArrayLike,
+        sample_factor: float | None = None,
+        batch_factor: float | None = None,
+        crossover: float | None = None,
+        registration_m_per_d: float | None = None,
+        registration_length: float | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -81,11 +95,20 @@ class GridMap:
         sigma: ArrayLike | None,
         text: tuple[str | None, str | None, str | None],
         model: dict[str, Any] | None,
+        height_m: ArrayLike | None = None,
     ) -> GridMap: ...
 
 @final
 class Track:
-    def __new__(cls, x: ArrayLike, y: ArrayLike, values: ArrayLike, time_s: ArrayLike | None = None) -> Track: ...
+    def __new__(
+        cls,
+        x: ArrayLike,
+        y: ArrayLike,
+        values: ArrayLike,
+        time_s: ArrayLike | None = None,
+        *,
+        height_m: ArrayLike | None = None,
+    ) -> Track: ...
     @property
     def x(self) -> _Floats: ...
     @property
@@ -94,10 +117,16 @@ class Track:
     def values(self) -> _Floats: ...
     @property
     def time_s(self) -> _Floats | None: ...
+    @property
+    def height_m(self) -> _Floats | None: ...
     def distance_m(self, *, geographic: bool = False) -> _Floats: ...
     def __len__(self) -> int: ...
     def __getitem__(self, index: slice, /) -> Track: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
+    @staticmethod
+    def _restore(
+        x: ArrayLike, y: ArrayLike, values: ArrayLike, time_s: ArrayLike | None, height_m: ArrayLike | None
+    ) -> Track: ...
 
 @final
 class Fix:

@@ -36,8 +36,27 @@ def versions() -> dict[str, str | None]:
     return found
 
 
+def clash() -> str | None:
+    """Return a warning where the older package `geomag` stands in the same folder as this one, else None.
+
+    The package index has had another package of that name (a world magnetic model, last released in 2015) since long before this
+    one, which is therefore installed as `geomag-nav`. Both are imported as `geomag`: whichever was installed last has overwritten files
+    of the other.
+    """
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        other = version("geomag")
+    except PackageNotFoundError:
+        return None
+    return (
+        f"the package 'geomag' {other} is installed too; it has the same import name as 'geomag-nav', and files of the two are mixed: "
+        "pip uninstall geomag geomag-nav, then pip install geomag-nav"
+    )
+
+
 def show_versions() -> None:
-    """Print what is installed: paste it into a bug report.
+    """Print what is installed: paste it into a bug report. Warns where the older package of the same import name is installed.
 
     >>> import geomag
     >>> geomag.show_versions()  # doctest: +ELLIPSIS
@@ -47,6 +66,9 @@ def show_versions() -> None:
     width = max(map(len, found))
     for name, value in found.items():
         sys.stdout.write(f"{name:<{width}}  {value or 'not installed'}\n")
+    warning = clash()
+    if warning is not None:
+        sys.stdout.write(f"warning: {warning}\n")
 
 
 def write_record(

@@ -5,6 +5,9 @@ use crate::grid::GridMap;
 /// A scalar field over the horizontal plane that a matcher can be given as its map.
 ///
 /// Coordinates are x to the east and y to the north, in metres or (geographic) in degrees of longitude and latitude.
+/// Heights are metres above the height datum of the map, positive up: a field that is known at several of them gives them by
+/// [`Field::heights`] and answers by [`Field::value_at`]; one that is known on a single surface, or says nothing of heights,
+/// answers for that surface whatever the height.
 /// [`GridMap`] is the fast path, reached through [`Field::as_grid`]; anything else is sampled point by point.
 pub trait Field: Send + Sync + std::fmt::Debug {
     /// Field value at a point; NaN where it is unknown (off the map, on a hole).
@@ -12,6 +15,26 @@ pub trait Field: Send + Sync + std::fmt::Debug {
 
     /// Value and gradient per metre `[east, north]`; NaN where unknown.
     fn value_and_gradient(&self, x: f64, y: f64) -> (f64, [f64; 2]);
+
+    /// [`Field::value`] at a height; that of the field's own surface where it has one only.
+    fn value_at(&self, x: f64, y: f64, _height_m: f64) -> f64 {
+        self.value(x, y)
+    }
+
+    /// [`Field::value_and_gradient`] at a height; that of the field's own surface where it has one only.
+    fn value_and_gradient_at(&self, x: f64, y: f64, _height_m: f64) -> (f64, [f64; 2]) {
+        self.value_and_gradient(x, y)
+    }
+
+    /// [`Field::sigma`] at a height; that of the field's own surface where it has one only.
+    fn sigma_at(&self, x: f64, y: f64, _height_m: f64) -> f64 {
+        self.sigma(x, y)
+    }
+
+    /// Lowest and greatest height at which the field is known, metres; `None` for a field of one surface.
+    fn heights(&self) -> Option<[f64; 2]> {
+        None
+    }
 
     /// Standard deviation of the stored value against the true field at a point: zero for a field that says nothing of its
     /// errors, NaN where one that does says nothing here (a NaN in its layer, or off it).

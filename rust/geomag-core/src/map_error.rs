@@ -34,6 +34,56 @@ pub struct MapErrorModel {
     /// Log evidence that an effect which was not told must gain for a fix to be rejected; `None` where it was not learnt.
     #[serde(default)]
     pub misfit_threshold: Option<f64>,
+    /// What a filter needs beyond what a matcher does; `None` where it was not learnt.
+    #[serde(default)]
+    pub filter: Option<FilterLaw>,
+}
+
+/// How readings one after another fare against the map: what a filter has to know of its errors.
+///
+/// A matcher judges windows of some forty samples, so the stored sigma is that with which *windows* are calibrated. Single
+/// samples have worse errors, and a filter adds up hundreds of them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FilterLaw {
+    /// Standard deviation of a single sample's error over the stored sigma.
+    pub sample_factor: f64,
+    /// Standard deviation of the mean error over a batch (one and a half correlation lengths) over that of a single sample.
+    pub batch_factor: f64,
+    /// Misfit of survey lines where they cross, value units: the least error of any mean.
+    pub crossover: f64,
+    /// Displacement of a map's features, per axis, in units of the distance to the data.
+    pub registration_m_per_d: f64,
+    /// Length along the track over which that displacement changes, in units of the distance to the data.
+    pub registration_length: f64,
+}
+
+impl Default for FilterLaw {
+    /// Between what was learnt of a dense survey of aeromagnetic lines and of a wide one; a least error that depends on the
+    /// unit is not among it.
+    fn default() -> Self {
+        Self {
+            sample_factor: 1.5,
+            batch_factor: 1.7,
+            crossover: 0.0,
+            registration_m_per_d: 0.3,
+            registration_length: 40.0,
+        }
+    }
+}
+
+impl FilterLaw {
+    /// Checks the ranges of the numbers.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] naming the first parameter out of range.
+    pub fn validate(&self) -> Result<()> {
+        require_positive("error model sample_factor", self.sample_factor)?;
+        require_positive("error model batch_factor", self.batch_factor)?;
+        require_not_negative("error model crossover", self.crossover)?;
+        require_not_negative("error model registration_m_per_d", self.registration_m_per_d)?;
+        require_positive("error model registration_length", self.registration_length)?;
+        Ok(())
+    }
 }
 
 impl MapErrorModel {
@@ -49,6 +99,9 @@ impl MapErrorModel {
         require_not_negative("error model registration", self.registration)?;
         if let Some(threshold) = self.misfit_threshold {
             require_positive("error model misfit_threshold", threshold)?;
+        }
+        if let Some(law) = &self.filter {
+            law.validate()?;
         }
         match &self.distance_m {
             DistanceLayer::Constant(d) => {

@@ -7,7 +7,7 @@ use crate::error::{Error, Result, require_finite, require_weights};
 /// Indicated positions and measured values, oldest first.
 ///
 /// x to the east and y to the north, in the map's units (metres, or degrees of longitude and latitude); values in the
-/// map's unit; times in seconds.
+/// map's unit; times in seconds; heights, where they are known, in metres above the height datum of the map, positive up.
 ///
 /// ```
 /// let track = geomag_core::track::Track::new(vec![0.0, 50.0], vec![0.0, 10.0], vec![12.5, 13.0], None)?;
@@ -20,6 +20,8 @@ pub struct Track {
     y: Vec<f64>,
     values: Vec<f64>,
     time_s: Option<Vec<f64>>,
+    #[serde(default)]
+    height_m: Option<Vec<f64>>,
 }
 
 impl Track {
@@ -51,7 +53,23 @@ impl Track {
                 ));
             }
         }
-        Ok(Self { x, y, values, time_s })
+        Ok(Self { x, y, values, time_s, height_m: None })
+    }
+
+    /// The same track with the height of every sample, metres above the height datum of the map, positive up.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of heights than samples, [`Error::NotFinite`] naming the first bad one.
+    pub fn with_height(mut self, height_m: Option<Vec<f64>>) -> Result<Self> {
+        if let Some(height) = &height_m {
+            if height.len() != self.len() {
+                let got = format!("({},)", height.len());
+                return Err(Error::shape("track height_m", format!("({},) as x", self.len()), got));
+            }
+            require_finite("track height_m", height)?;
+        }
+        self.height_m = height_m;
+        Ok(self)
     }
 
     /// Number of samples, at least one.
@@ -80,6 +98,11 @@ impl Track {
         self.time_s.as_deref()
     }
 
+    /// Heights in metres above the height datum of the map, where they are known.
+    pub fn height_m(&self) -> Option<&[f64]> {
+        self.height_m.as_deref()
+    }
+
     /// Indicated position of sample `k`.
     pub fn point(&self, k: usize) -> [f64; 2] {
         [self.x[k], self.y[k]]
@@ -106,8 +129,9 @@ impl Track {
             self.x[range.clone()].to_vec(),
             self.y[range.clone()].to_vec(),
             self.values[range.clone()].to_vec(),
-            self.time_s.as_ref().map(|t| t[range].to_vec()),
-        )
+            self.time_s.as_ref().map(|t| t[range.clone()].to_vec()),
+        )?
+        .with_height(self.height_m.as_ref().map(|h| h[range].to_vec()))
     }
 
     /// The samples whose weight is not zero, as a track of their own; all of them without `weights`.
@@ -118,7 +142,8 @@ impl Track {
         let Some(weights) = weights else { return Ok(self.clone()) };
         require_weights(weights, self.len())?;
         let pick = |from: &[f64]| from.iter().zip(weights).filter(|(_, w)| **w > 0.0).map(|(v, _)| *v).collect();
-        Self::new(pick(&self.x), pick(&self.y), pick(&self.values), self.time_s.as_deref().map(pick))
+        Self::new(pick(&self.x), pick(&self.y), pick(&self.values), self.time_s.as_deref().map(pick))?
+            .with_height(self.height_m.as_deref().map(pick))
     }
 
     /// Standard deviation of the readings.

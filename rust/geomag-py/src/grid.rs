@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
-use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapSigma};
-use geomag_core::map_error::{DistanceLayer, MapErrorModel};
+use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
+use geomag_core::map_error::{DistanceLayer, FilterLaw, MapErrorModel};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -44,6 +44,9 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 ///     Length over which those errors decorrelate, metres; one cell where nothing is said. A map gridded from survey lines errs over about
 ///     one or two line spacings; one whose nodes were measured one by one not at all (0). The longer it is, the fewer samples count as
 ///     independent. A learnt error model takes its place.
+/// height_m : float or array of the shape of values, optional
+///     Height of the values, metres above the height datum, positive up: a level, or a surface draped over the ground. The
+///     datum (ellipsoid, geoid, mean sea level) is the map's own; the heights of tracks are counted from the same.
 /// name, units, crs : str, optional
 ///     Carried along.
 ///
@@ -126,8 +129,8 @@ impl PyGridMap {
 #[pymethods]
 impl PyGridMap {
     #[new]
-    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, name = None,
-        units = None, crs = None))]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, height_m = None,
+        name = None, units = None, crs = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -136,6 +139,7 @@ impl PyGridMap {
         geographic: bool,
         sigma: Option<&Bound<'_, PyAny>>,
         correlation_m: Option<f64>,
+        height_m: Option<&Bound<'_, PyAny>>,
         name: Option<String>,
         units: Option<String>,
         crs: Option<String>,
@@ -167,7 +171,21 @@ impl PyGridMap {
             };
             inner = inner.with_sigma(Some(layer))?;
         }
-        let inner = inner.with_correlation_m(correlation_m)?;
+        inner = inner.with_correlation_m(correlation_m)?;
+        if let Some(height) = height_m {
+            let layer = if let Ok(level) = height.extract::<f64>() {
+                MapHeight::Level(level)
+            } else {
+                let (layer, height_rows, height_columns) = matrix("height_m", height)?;
+                if (height_rows, height_columns) != (rows, columns) {
+                    let got = format!("({height_rows}, {height_columns})");
+                    return Err(Error::shape("height_m", format!("({rows}, {columns}) as values"), got).into());
+                }
+                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
+                MapHeight::Drape((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+            };
+            inner = inner.with_height(Some(layer))?;
+        }
         Ok(Self { inner: Arc::new(inner), name, units, crs })
     }
 
@@ -222,8 +240,30 @@ impl PyGridMap {
         }
     }
 
+    /// Height of the values, metres above the height datum: None, a number, or an array laid out as the values.
+    #[getter]
+    fn height_m<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        match self.inner.height() {
+            None => Ok(None),
+            Some(MapHeight::Level(h)) => Ok(Some(shaped(py, vec![*h], &[])?)),
+            Some(MapHeight::Drape(d)) => {
+                Ok(Some(shaped(py, d.clone(), &[self.inner.y().len(), self.inner.x().len()])?))
+            }
+        }
+    }
+
     /// The same map with the statistics of its errors: see `geomag.survey`.
-    #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m))]
+    ///
+    /// The five after `distance_m` are what a filter has to know (`Navigator`): sigma of a single sample over the stored
+    /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
+    /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
+    /// defaults; without any the navigator uses its own.
+    ///
+    /// `misfit_threshold`: log evidence that an effect which was not told must gain for a fix to be rejected, as in `match_posterior`.
+    #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
+                        batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
+                        misfit_threshold = None))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
         nu: f64,
@@ -231,6 +271,12 @@ impl PyGridMap {
         correlation: f64,
         registration: f64,
         distance_m: &Bound<'_, PyAny>,
+        sample_factor: Option<f64>,
+        batch_factor: Option<f64>,
+        crossover: Option<f64>,
+        registration_m_per_d: Option<f64>,
+        registration_length: Option<f64>,
+        misfit_threshold: Option<f64>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
@@ -242,7 +288,17 @@ impl PyGridMap {
             }
             DistanceLayer::Grid(values.into_iter().map(|d| d as f32).collect())
         };
-        let model = MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer };
+        let stated = [sample_factor, batch_factor, crossover, registration_m_per_d, registration_length];
+        let usual = FilterLaw::default();
+        let filter = stated.iter().any(Option::is_some).then(|| FilterLaw {
+            sample_factor: sample_factor.unwrap_or(usual.sample_factor),
+            batch_factor: batch_factor.unwrap_or(usual.batch_factor),
+            crossover: crossover.unwrap_or(usual.crossover),
+            registration_m_per_d: registration_m_per_d.unwrap_or(usual.registration_m_per_d),
+            registration_length: registration_length.unwrap_or(usual.registration_length),
+        });
+        let model =
+            MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer, filter, misfit_threshold };
         Ok(self.with_model(Some(model))?)
     }
 
@@ -267,6 +323,16 @@ impl PyGridMap {
                 let values = layer.iter().map(|d| f64::from(*d)).collect();
                 out.set_item("distance_m", shaped(py, values, &[self.shape().0, self.shape().1])?)?;
             }
+        }
+        if let Some(law) = &model.filter {
+            out.set_item("sample_factor", law.sample_factor)?;
+            out.set_item("batch_factor", law.batch_factor)?;
+            out.set_item("crossover", law.crossover)?;
+            out.set_item("registration_m_per_d", law.registration_m_per_d)?;
+            out.set_item("registration_length", law.registration_length)?;
+        }
+        if let Some(threshold) = model.misfit_threshold {
+            out.set_item("misfit_threshold", threshold)?;
         }
         Ok(Some(out))
     }
@@ -402,35 +468,47 @@ impl PyGridMap {
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
         let correlation_m = this.inner.correlation_m();
         let model = this.error_model(py)?;
-        let arguments = (this.values(py)?, axes, this.inner.geographic(), this.sigma(py)?, text, model, correlation_m)
+        let errors = (this.sigma(py)?, correlation_m);
+        let arguments = (this.values(py)?, axes, this.inner.geographic(), errors, text, model, this.height_m(py)?)
             .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
+    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None))]
     #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
         axes: ((f64, f64), (f64, f64)),
         geographic: bool,
-        sigma: Option<&Bound<'_, PyAny>>,
+        errors: (Option<Bound<'_, PyAny>>, Option<f64>),
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
-        correlation_m: Option<f64>,
+        height_m: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
         let x = Axis::new(axes.0.0, axes.0.1, columns)?;
         let y = Axis::new(axes.1.0, axes.1.1, rows)?;
+        let (sigma, correlation_m) = errors;
         let sigma = match sigma {
             None => None,
             Some(s) => Some(match s.extract::<f64>() {
                 Ok(constant) => MapSigma::Constant(constant),
-                Err(_) => MapSigma::Grid(matrix("sigma", s)?.0),
+                Err(_) => MapSigma::Grid(matrix("sigma", &s)?.0),
             }),
         };
-        let inner =
-            GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_correlation_m(correlation_m)?;
+        let height = match height_m {
+            None => None,
+            Some(h) => Some(match h.extract::<f64>() {
+                Ok(level) => MapHeight::Level(level),
+                Err(_) => MapHeight::Drape(matrix("height_m", h)?.0),
+            }),
+        };
+        let inner = GridMap::from_axes(values, x, y, geographic)?
+            .with_sigma(sigma)?
+            .with_correlation_m(correlation_m)?
+            .with_height(height)?;
         let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
         let Some(model) = model else { return Ok(map) };
         let number = |key: &str| -> PyRes<f64> {
@@ -439,6 +517,7 @@ impl PyGridMap {
                 None => Err(invalid("saved error model", key, "nothing")),
             }
         };
+        let optional = |key: &str| -> PyRes<Option<f64>> { Ok(model.get_item(key)?.map(|v| v.extract()).transpose()?) };
         let Some(distance) = model.get_item("distance_m")? else {
             return Err(invalid("saved error model", "distance_m", "nothing"));
         };
@@ -448,6 +527,12 @@ impl PyGridMap {
             number("correlation")?,
             number("registration")?,
             &distance,
+            optional("sample_factor")?,
+            optional("batch_factor")?,
+            optional("crossover")?,
+            optional("registration_m_per_d")?,
+            optional("registration_length")?,
+            optional("misfit_threshold")?,
         )
     }
 

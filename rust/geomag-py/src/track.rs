@@ -19,6 +19,8 @@ use crate::error::{PyRes, invalid};
 ///     Measured values, the map's unit.
 /// time_s : array of shape (n,), optional
 ///     Times in seconds, not falling.
+/// height_m : float or array of shape (n,), optional
+///     Height of the samples, metres above the height datum of the map, positive up: see `GridMap`.
 ///
 /// Raises
 /// ------
@@ -39,12 +41,13 @@ pub struct PyTrack {
 #[pymethods]
 impl PyTrack {
     #[new]
-    #[pyo3(signature = (x, y, values, time_s = None))]
+    #[pyo3(signature = (x, y, values, time_s = None, *, height_m = None))]
     fn new(
         x: &Bound<'_, PyAny>,
         y: &Bound<'_, PyAny>,
         values: &Bound<'_, PyAny>,
         time_s: Option<&Bound<'_, PyAny>>,
+        height_m: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let track = Track::new(
             vector("track x", x)?,
@@ -52,7 +55,11 @@ impl PyTrack {
             vector("track values", values)?,
             optional_vector("track time_s", time_s)?,
         )?;
-        Ok(Self { inner: Arc::new(track) })
+        let height = optional_vector("track height_m", height_m)?.map(|h| match h.as_slice() {
+            &[everywhere] => vec![everywhere; track.len()],
+            _ => h,
+        });
+        Ok(Self { inner: Arc::new(track.with_height(height)?) })
     }
 
     /// Indicated x, map units.
@@ -79,6 +86,12 @@ impl PyTrack {
         self.inner.time_s().map(|t| shaped(py, t.to_vec(), &[t.len()])).transpose()
     }
 
+    /// Heights in metres above the height datum of the map, one a sample, or None.
+    #[getter]
+    fn height_m<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.inner.height_m().map(|h| shaped(py, h.to_vec(), &[h.len()])).transpose()
+    }
+
     /// Along-track distance of every sample from the first, metres.
     #[pyo3(signature = (*, geographic = false))]
     fn distance_m<'py>(&self, py: Python<'py>, geographic: bool) -> PyRes<Bound<'py, PyAny>> {
@@ -100,14 +113,27 @@ impl PyTrack {
         }
         let pick = |v: &[f64]| picks.iter().map(|&i| v[i]).collect::<Vec<_>>();
         let t = &self.inner;
-        Ok(Self { inner: Arc::new(Track::new(pick(t.x()), pick(t.y()), pick(t.values()), t.time_s().map(pick))?) })
+        let track = Track::new(pick(t.x()), pick(t.y()), pick(t.values()), t.time_s().map(pick))?;
+        Ok(Self { inner: Arc::new(track.with_height(t.height_m().map(pick))?) })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
         let this = slf.get();
-        let arguments = (this.x(py)?, this.y(py)?, this.values(py)?, this.time_s(py)?).into_pyobject(py)?;
-        Ok((slf.get_type().into_any(), arguments))
+        let arguments =
+            (this.x(py)?, this.y(py)?, this.values(py)?, this.time_s(py)?, this.height_m(py)?).into_pyobject(py)?;
+        Ok((slf.get_type().getattr("_restore")?, arguments))
+    }
+
+    #[staticmethod]
+    fn _restore(
+        x: &Bound<'_, PyAny>,
+        y: &Bound<'_, PyAny>,
+        values: &Bound<'_, PyAny>,
+        time_s: Option<&Bound<'_, PyAny>>,
+        height_m: Option<&Bound<'_, PyAny>>,
+    ) -> PyRes<Self> {
+        Self::new(x, y, values, time_s, height_m)
     }
 
     fn __repr__(&self) -> String {

@@ -8,7 +8,7 @@ mod sample;
 pub use axis::Axis;
 pub(crate) use axis::split_position;
 pub(crate) use continued::HEIGHTS_M;
-pub use nodes::{GridValues, MapSigma};
+pub use nodes::{GridValues, MapHeight, MapSigma};
 pub use sample::Interpolation;
 
 use std::ops::Range;
@@ -44,6 +44,7 @@ pub struct GridMap {
     sigma: Option<MapSigma>,
     correlation_m: Option<f64>,
     error_model: Option<MapErrorModel>,
+    height: Option<MapHeight>,
     continued: continued::Continued,
 }
 
@@ -148,6 +149,7 @@ impl GridMap {
             sigma: None,
             correlation_m: None,
             error_model: None,
+            height: None,
             continued: continued::Continued::default(),
         })
     }
@@ -213,6 +215,37 @@ impl GridMap {
         }
         self.error_model = model;
         Ok(self)
+    }
+
+    /// The same map with the height of its values, metres above its height datum, positive up.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`], [`Error::NotFiniteNode`] for a node with a value but no height, [`Error::Shape`] for a grid of
+    /// another size.
+    pub fn with_height(mut self, height: Option<MapHeight>) -> Result<Self> {
+        match &height {
+            None => {}
+            Some(MapHeight::Level(level)) => crate::error::require_finite("map height_m", &[*level])?,
+            Some(MapHeight::Drape(drape)) => {
+                if drape.len() != self.values.len() {
+                    let needed = format!("{} values as the map", self.values.len());
+                    return Err(Error::shape("map height_m", needed, format!("{} values", drape.len())));
+                }
+                let bad = |i: &usize| drape[*i].is_infinite() || drape[*i].is_nan() && !self.values.get(*i).is_nan();
+                if let Some(i) = (0..drape.len()).find(bad) {
+                    let (row, column) = (i / self.x.len(), i % self.x.len());
+                    let (x, y) = (self.x.at(column), self.y.at(row));
+                    return Err(Error::NotFiniteNode { what: "map height_m".into(), row, column, x, y, got: drape[i] });
+                }
+            }
+        }
+        self.height = height;
+        Ok(self)
+    }
+
+    /// The height of the values, where it is known.
+    pub fn height(&self) -> Option<&MapHeight> {
+        self.height.as_ref()
     }
 
     /// What is known of the errors beyond their standard deviation.
@@ -292,10 +325,15 @@ impl GridMap {
         });
         let x = Axis::new(self.x.at(columns.start), self.x.step(), columns.len())?;
         let y = Axis::new(self.y.at(rows.start), self.y.step(), rows.len())?;
+        let height = self.height.as_ref().map(|h| match h {
+            MapHeight::Level(level) => MapHeight::Level(*level),
+            MapHeight::Drape(drape) => MapHeight::Drape(part(drape, width, &rows, &columns)),
+        });
         Self::from_axes(values, x, y, self.geographic)?
             .with_sigma(sigma)?
             .with_correlation_m(self.correlation_m)?
-            .with_error_model(error_model)
+            .with_error_model(error_model)?
+            .with_height(height)
     }
 }
 

@@ -67,6 +67,15 @@ pub enum MapSigma {
     Grid(Vec<f64>),
 }
 
+/// Height of a map's values, metres above its height datum, positive up.
+#[derive(Debug, Clone, PartialEq)]
+pub enum MapHeight {
+    /// One height for the whole map.
+    Level(f64),
+    /// One height a node, in the map's own layout: a surface draped over the ground. NaN only on holes.
+    Drape(Vec<f64>),
+}
+
 /// Where the holes of a map are, by blocks of nodes: one hole in a corner must not slow down the whole map.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Holes {

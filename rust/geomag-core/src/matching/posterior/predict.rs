@@ -69,7 +69,8 @@ fn predict_interruptible(
         return Err(Error::invalid("planned track", "a track on the map", "no sample on a known cell"));
     }
     let filled: Vec<f64> = values.iter().map(|v| if v.is_finite() { *v } else { field.mean() }).collect();
-    let planned = Track::new(track.x().to_vec(), track.y().to_vec(), filled, track.time_s().map(<[f64]>::to_vec))?;
+    let planned = Track::new(track.x().to_vec(), track.y().to_vec(), filled, track.time_s().map(<[f64]>::to_vec))?
+        .with_height(track.height_m().map(<[f64]>::to_vec))?;
     let channel = Channel { field, values: planned.values(), sigma };
     let problem = Problem::new(&[channel], &planned, options)?;
     let expected = problem.expected();
@@ -101,7 +102,8 @@ fn predict_interruptible(
             .collect();
         let x = planned.x().iter().map(|x| x - offset[0]).collect();
         let y = planned.y().iter().map(|y| y - offset[1]).collect();
-        let flown = Track::new(x, y, noisy, planned.time_s().map(<[f64]>::to_vec))?;
+        let flown = Track::new(x, y, noisy, planned.time_s().map(<[f64]>::to_vec))?
+            .with_height(planned.height_m().map(<[f64]>::to_vec))?;
         let channel = Channel { field, values: flown.values(), sigma };
         let fix = match_interruptible(&[channel], &flown, options, monitor)?;
         if fix.ok() {
