@@ -475,7 +475,7 @@ impl PyGridMap {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None))]
+    #[pyo3(signature = (values, axes, geographic, errors, text, model, height_m = None))]
     #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,

@@ -8,9 +8,10 @@
 //! smaller by as much as the map changes within the cell, |dm/dx| h_x + |dm/dy| h_y and the bend of the map over it, and its
 //! variance as small as anywhere in the cell. What the bound rules out holds no place that the density would have found.
 //!
-//! Between the nodes the map is a bilinear surface plus `blend` times what the bicubic one (Keys, IEEE Trans. Acoust. Speech
+//! Between the nodes the map is a bilinear surface plus what the bicubic one (Keys, IEEE Trans. Acoust. Speech
 //! Signal Process. 29 (1981) 1153) differs by: with second differences D at the nodes and q(t) = t (1 - t) / 2, that is
-//! -q(u) Dx - q(v) Dy + q(u) q(v) Dxy, each interpolated. A standard deviation of the same size is what the map cannot say.
+//! -q(u) Dx - q(v) Dy + q(u) q(v) Dxy, each interpolated; the cubic spline through the nodes is the same of its own second
+//! derivatives, interpolated at (1 + t) / 3. A standard deviation of the same size is what the map cannot say.
 //!
 //! Values are in units of the sensor's standard deviation, so that single precision suffices for the samples; sums over
 //! samples are in double precision.
@@ -22,7 +23,9 @@ use std::ops::Range;
 
 use super::model::{LEVELS, Level};
 use super::nuisance::Shape;
-use super::patch::{ACROSS, BEND, Cells, DISTANCE, Patch, Place, TWIST, UP, VALUE, VARIANCE};
+use super::patch::{
+    ACROSS, BEND, Cells, DISTANCE, Patch, Place, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP, VALUE, VARIANCE,
+};
 pub(super) use closely::{Detail, detail};
 use integral::{Tails, nuisances, one_bias, weigh};
 
@@ -123,9 +126,10 @@ impl Scores {
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 struct Row {
-    /// From the bilinear surface, and what the bicubic one adds to that.
+    /// From the bilinear surface, and what the bicubic one and the spline add to that.
     residual: Lane,
     curve: Lane,
+    spline: Lane,
     /// From the surface of the level at hand.
     error: Lane,
     /// Square of what the map cannot say between its nodes: the most of it, and the least within the cell of a bound.
@@ -145,6 +149,7 @@ struct Row {
 const EMPTY: Row = Row {
     residual: [0.0; LANES],
     curve: [0.0; LANES],
+    spline: [0.0; LANES],
     error: [0.0; LANES],
     between: [0.0; LANES],
     least_between: [0.0; LANES],
@@ -260,8 +265,18 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
                 let curve = (qu * qv * twist[l] - qu * across[l] - qv * up[l]) * unit;
                 row.curve[l] = if known[l] > 0.0 { curve } else { 0.0 };
             }
+            let third = |t: &Lane| t.map(|t| (1.0 + t) * (1.0 / 3.0));
+            let (u_third, v_third) = (third(&u), third(&v));
+            let across = setup.patch.read::<SPLINE_ACROSS>(&cells, &mut spots).mixed_at(&u_third, &v);
+            let up = setup.patch.read::<SPLINE_UP>(&cells, &mut spots).mixed_at(&u, &v_third);
+            let twist = setup.patch.read::<SPLINE_TWIST>(&cells, &mut spots).mixed_at(&u_third, &v_third);
+            for l in 0..LANES {
+                let (qu, qv) = (0.5 * off_node(u[l]), 0.5 * off_node(v[l]));
+                let spline = (qu * qv * twist[l] - qu * across[l] - qv * up[l]) * unit;
+                row.spline[l] = if known[l] > 0.0 { spline } else { 0.0 };
+            }
         } else {
-            row.curve = [0.0; LANES];
+            (row.curve, row.spline) = ([0.0; LANES], [0.0; LANES]);
         }
         if setup.patch.even {
             for l in 0..LANES {

@@ -35,6 +35,8 @@ mod search;
 mod streaming;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_declared;
 
 pub use model::{Channel, PosteriorOptions};
 pub use predict::{Prediction, predict, predict_many};

@@ -18,14 +18,15 @@ const NORMAL: f64 = 0.97;
 const LEAST_NU: f64 = 0.01;
 /// Standard deviation of a bias, in units of a sample's, below which there is none.
 const NO_BIAS: f64 = 1e-6;
-/// How the field may run between the nodes of a map whose nodes are exact: the interpolation that was named; the other
-/// one; near the bicubic one, and anyhow. Prior probabilities, and the standard deviation about the bicubic one in units of its
-/// difference from the bilinear one: a cubic spline through the same nodes differs from it by a tenth of that on smooth fields
-/// (features of 8 cells) and by half on rough ones (4 cells).
+/// How the field may run between the nodes of a map whose nodes are exact: the interpolation that was named; the other one; the cubic
+/// spline; near that, and anyhow. Prior probabilities, and the standard deviation about the spline in units of the second difference's
+/// part there: a spline and cubic convolution through the same nodes differ by a tenth of that on smooth fields (features of 8
+/// cells) and by half on rough ones (4 cells).
 const AS_NAMED: f64 = 0.5;
-const THE_OTHER: f64 = 0.25;
-const NEAR_BICUBIC: (f64, f64) = (0.15, 0.2);
-const ANYHOW: (f64, f64) = (0.1, 0.8);
+const THE_OTHER: f64 = 0.15;
+const SPLINE: f64 = 0.15;
+const NEAR_SPLINE: (f64, f64) = (0.12, 0.2);
+const ANYHOW: (f64, f64) = (0.08, 0.8);
 /// The same for a map whose error is stated, or that says nothing of it: the whole difference.
 const STATED_BETWEEN: f64 = 1.0;
 /// And for a map with a learnt error model, whose sigma holds most of it.
@@ -60,7 +61,7 @@ const CHECKED: i32 = 4;
 const CHECKED_SPREAD: f64 = 2.0;
 
 /// Most error levels of one channel.
-pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len();
+pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len() + 1;
 
 /// Options of the posterior matchers. [`PosteriorOptions::new`] gives defaults that need no tuning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -193,6 +194,25 @@ pub struct Channel<'a> {
     pub sigma: Option<f64>,
 }
 
+/// A surface through the nodes of a map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Interpolant {
+    Bilinear,
+    Bicubic,
+    Spline,
+}
+
+impl Interpolant {
+    /// Shares of what the bicubic surface and the spline add to the bilinear one.
+    pub fn parts(self) -> (f32, f32) {
+        match self {
+            Self::Bilinear => (0.0, 0.0),
+            Self::Bicubic => (1.0, 0.0),
+            Self::Spline => (0.0, 1.0),
+        }
+    }
+}
+
 /// One hypothesis on the error of the map along a track.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Level {
@@ -202,9 +222,9 @@ pub(super) struct Level {
     pub nu: f64,
     /// Greatest loss of one sample, infinite where there is none.
     pub most_loss: f64,
-    /// Where between the bilinear (0) and the bicubic (1) surface the field is expected.
-    pub blend: f64,
-    /// Standard deviation about it, in units of the difference between the two.
+    /// The surface through the nodes about which the field is expected.
+    pub surface: Interpolant,
+    /// Standard deviation about it, in units of what a straight line between nodes leaves out.
     pub between: f64,
     /// Logarithm of its prior probability.
     pub log_prior: f64,
@@ -213,7 +233,7 @@ pub(super) struct Level {
 impl Level {
     /// Whether another level differs in its tails only.
     pub fn same_surface(&self, other: &Self) -> bool {
-        (self.factor, self.blend, self.between) == (other.factor, other.blend, other.between)
+        (self.factor, self.surface, self.between) == (other.factor, other.surface, other.between)
     }
 }
 
@@ -253,13 +273,15 @@ impl Noise {
         let named = options.nu.map(|nu| nu.clamp(LEAST_NU, NORMAL_NU));
         let map_nu = named.or(model.map(|m| m.nu.clamp(LEAST_NU, NORMAL_NU))).unwrap_or(DEFAULT_NU);
         let sensor_nu = named.unwrap_or(SENSOR_NU);
-        let bicubic = options.interpolation == Interpolation::Bicubic;
-        let blend = if bicubic { 1.0 } else { 0.0 };
+        let (surface, other) = match options.interpolation {
+            Interpolation::Bilinear => (Interpolant::Bilinear, Interpolant::Bicubic),
+            Interpolation::Bicubic => (Interpolant::Bicubic, Interpolant::Bilinear),
+        };
         let of_factor = |&(factor, log_prior): &(f64, f64)| Level {
             factor,
             nu: if factor == 0.0 { sensor_nu } else { map_nu },
             most_loss: f64::INFINITY,
-            blend,
+            surface,
             between: if grid.is_none() {
                 0.0
             } else if model.is_some() {
@@ -271,26 +293,27 @@ impl Noise {
         };
         let mut levels: Vec<Level> = if exact {
             let most_loss = if named.is_none() { MOST_LOSS } else { f64::INFINITY };
-            let level = |nu: f64, blend: f64, between: f64, prior: f64| Level {
+            let level = |nu: f64, surface: Interpolant, between: f64, prior: f64| Level {
                 factor: 0.0,
                 nu: named.unwrap_or(nu),
                 most_loss,
-                blend,
+                surface,
                 between,
                 log_prior: prior.ln(),
             };
             let mut levels = if named.is_none() {
                 vec![
-                    level(SENSOR_NU, blend, 0.0, AS_NAMED * (1.0 - NORMAL)),
-                    level(NORMAL_NU, blend, 0.0, AS_NAMED * NORMAL),
+                    level(SENSOR_NU, surface, 0.0, AS_NAMED * (1.0 - NORMAL)),
+                    level(NORMAL_NU, surface, 0.0, AS_NAMED * NORMAL),
                 ]
             } else {
-                vec![level(sensor_nu, blend, 0.0, AS_NAMED)]
+                vec![level(sensor_nu, surface, 0.0, AS_NAMED)]
             };
             if grid.is_some() {
-                levels.push(level(NORMAL_NU, 1.0 - blend, 0.0, THE_OTHER));
-                levels.push(level(NORMAL_NU, 1.0, NEAR_BICUBIC.1, NEAR_BICUBIC.0));
-                levels.push(level(SENSOR_NU, 1.0, ANYHOW.1, ANYHOW.0));
+                levels.push(level(NORMAL_NU, other, 0.0, THE_OTHER));
+                levels.push(level(NORMAL_NU, Interpolant::Spline, 0.0, SPLINE));
+                levels.push(level(NORMAL_NU, Interpolant::Spline, NEAR_SPLINE.1, NEAR_SPLINE.0));
+                levels.push(level(SENSOR_NU, Interpolant::Spline, ANYHOW.1, ANYHOW.0));
             }
             levels
         } else if !stated {

@@ -20,7 +20,7 @@ const PART_TOLERANCE: f32 = 4e-7;
 const RUNS: usize = 3;
 
 /// Planes of a patch: value minus level, error variance, distance to data, largest second difference, the second differences along x
-/// and y, and that along y of those along x.
+/// and y, and that along y of those along x; and the same three of the cubic spline through the nodes.
 pub(super) const VALUE: usize = 0;
 pub(super) const VARIANCE: usize = 1;
 pub(super) const DISTANCE: usize = 2;
@@ -28,7 +28,12 @@ pub(super) const BEND: usize = 3;
 pub(super) const ACROSS: usize = 4;
 pub(super) const UP: usize = 5;
 pub(super) const TWIST: usize = 6;
-const PLANES: usize = 7;
+pub(super) const SPLINE_ACROSS: usize = 7;
+pub(super) const SPLINE_UP: usize = 8;
+pub(super) const SPLINE_TWIST: usize = 9;
+const PLANES: usize = 10;
+/// Nodes beyond what a search can touch: over each of them a spline forgets three quarters of what lies beyond.
+const MARGIN_CELLS: i64 = 8;
 /// A window of the map, a plane a quantity.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
@@ -120,6 +125,24 @@ impl Cells {
     }
 }
 
+/// Second differences D of a line to the second derivatives M of the cubic spline, M- + 4 M + M+ = 6 D; at both ends a parabola.
+fn spline_bends(line: &mut [f32]) {
+    let n = line.len();
+    if n < 3 {
+        return;
+    }
+    // Elimination from the first inner node on: the coefficient of the next one settles at 2 - sqrt 3.
+    let mut factors = vec![0.0_f32; n];
+    for i in 1..n - 1 {
+        let pivot = 4.0 - factors[i - 1];
+        factors[i] = 1.0 / pivot;
+        line[i] = (6.0 * line[i] - line[i - 1]) / pivot;
+    }
+    for i in (1..n - 1).rev() {
+        line[i] -= factors[i] * line[i + 1];
+    }
+}
+
 fn finite_or_zero(value: f32) -> f32 {
     if value.is_finite() { value } else { 0.0 }
 }
@@ -198,12 +221,18 @@ impl Corners {
     /// Interpolated.
     #[inline(always)]
     pub fn mixed(&self, spots: &Spots) -> [f32; LANES] {
+        self.mixed_at(&spots.u, &spots.v)
+    }
+
+    /// Interpolated at other places between the nodes.
+    #[inline(always)]
+    pub fn mixed_at(&self, u: &[f32; LANES], v: &[f32; LANES]) -> [f32; LANES] {
         let [a, b, e, f] = &self.0;
         let mut mixed = [0.0; LANES];
         for l in 0..LANES {
-            let low = a[l] + spots.u[l] * (b[l] - a[l]);
-            let high = e[l] + spots.u[l] * (f[l] - e[l]);
-            mixed[l] = low + spots.v[l] * (high - low);
+            let low = a[l] + u[l] * (b[l] - a[l]);
+            let high = e[l] + u[l] * (f[l] - e[l]);
+            mixed[l] = low + v[l] * (high - low);
         }
         mixed
     }
@@ -222,7 +251,7 @@ impl Patch {
         let limits = grid.map_or([far; 2], |g| [g.x().len() as i64 - 1, g.y().len() as i64 - 1]);
         let (mut first, mut last) = ([0_i64; 2], [0_i64; 2]);
         for d in 0..2 {
-            let margin = SMOOTHING_CELLS as i64 + 1;
+            let margin = if grid.is_some() { MARGIN_CELLS } else { SMOOTHING_CELLS as i64 + 1 };
             let least = if grid.is_some() { 0 } else { -far };
             let cells = |v: f64| ((v - origin[d]) / step[d]).clamp(-far as f64, far as f64);
             first[d] = (cells(low[d]).floor() as i64 - margin).clamp(least, limits[d]);
@@ -305,7 +334,7 @@ impl Patch {
     /// which continue the map as a parabola; zero beside holes.
     fn fill_bends(&mut self) {
         let (columns, rows) = (self.columns, self.rows);
-        let [values, _, _, bends, across, up, twist] = &mut self.planes;
+        let [values, _, _, bends, across, up, twist, spline_across, spline_up, spline_twist] = &mut self.planes;
         let along_x = |plane: &[f32], r: usize, c: usize| {
             if columns < 3 {
                 return 0.0;
@@ -332,6 +361,31 @@ impl Patch {
                 twist[r * columns + c] = along_y(across, r, c);
             }
         }
+        // The spline bends at its nodes by M with M- + 4 M + M+ = 6 D (de Boor, A Practical Guide to Splines, 1978, chapter IV).
+        let mut line = vec![0.0_f32; rows];
+        spline_across.copy_from_slice(across);
+        for row in spline_across.chunks_exact_mut(columns) {
+            spline_bends(row);
+        }
+        let mut up_the_columns = |plane: &mut [f32]| {
+            for c in 0..columns {
+                for r in 0..rows {
+                    line[r] = plane[r * columns + c];
+                }
+                spline_bends(&mut line);
+                for r in 0..rows {
+                    plane[r * columns + c] = line[r];
+                }
+            }
+        };
+        spline_up.copy_from_slice(up);
+        up_the_columns(spline_up);
+        for r in 0..rows {
+            for c in 0..columns {
+                spline_twist[r * columns + c] = along_y(spline_across, r, c);
+            }
+        }
+        up_the_columns(spline_twist);
     }
 
     /// Error variance from the local mean square gradient; `aspect` is the cell's sides over its mean side.

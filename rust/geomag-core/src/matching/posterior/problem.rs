@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
+use super::model::{Channel, Interpolant, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
 use super::nuisance::{Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
@@ -266,7 +266,7 @@ impl<'a> Problem<'a> {
             half_cells: channel.cells(step).map(|s| (0.5 * s) as f32),
             blur_m2: [blur(0), blur(1)],
             sensor_variance: channel.sensor_variance() as f32,
-            cubic: channel.noise.levels.iter().any(|l| l.blend != 0.0),
+            cubic: channel.noise.levels.iter().any(|l| l.surface != Interpolant::Bilinear),
             cover: 0.0,
             levels: &channel.noise.levels,
             bias_sigma: bias_prior(self.options.bias_sigma, channel.unit),

@@ -61,14 +61,14 @@ fn logarithm(x: f32) -> f32 {
 pub(super) fn weigh<const BOUND: bool>(scratch: &mut Scratch, level: &Level) -> Wide {
     let n = scratch.rows.len();
     let (level2, between2) = ((level.factor * level.factor) as f32, (level.between * level.between) as f32);
-    let blend = level.blend as f32;
+    let (bicubic, spline) = level.surface.parts();
     let mut total = [0.0; LANES];
     let mut product = [1.0_f32; LANES];
     for (k, row) in scratch.rows.iter_mut().enumerate() {
         for l in 0..LANES {
             let variance = row.extra_variance[l] + level2 * row.map_variance[l] + between2 * row.between[l];
             row.precision[l] = row.known[l] / variance;
-            row.error[l] = row.residual[l] - blend * row.curve[l];
+            row.error[l] = row.residual[l] - bicubic * row.curve[l] - spline * row.spline[l];
             let least = if BOUND { variance - between2 * (row.between[l] - row.least_between[l]) } else { variance };
             // An unknown sample has variance 1 here, so it changes nothing.
             product[l] *= least.clamp(1.0 / LARGEST, LARGEST);
