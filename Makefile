@@ -34,6 +34,7 @@ $(VENV)/dev: $(VENV)/extras
 build: $(VENV)/built
 
 demo: $(VENV)/built $(VENV)/extras
+	@mkdir -p out
 	$(BIN)/geomag demo --out out/demo.png
 
 test: test-rust test-python

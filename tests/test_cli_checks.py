@@ -55,7 +55,7 @@ SIMULATE = "calibrate map.nc --simulate --half-width-m 500 --tolerance-m 200"
         ("match map.nc log.csv --heading-deg 500", "--heading-deg"),
         ("match map.nc log.csv --method mad --max-misses 3", "--method iema"),
         ("match map.nc log.csv --letter", "--method contour"),
-        ("match map.nc log.csv --max-risk 0.1", "--method posterior"),
+        ("match map.nc log.csv --method msd --max-risk 0.1", "--method posterior"),
         ("match map.nc log.csv --method contour --letter --heading-deg 1", "without --letter"),
         ("match map.nc log.csv --report /proc/x.html", "--report"),
         ("match map.nc log.csv --geojson .", "folder"),
@@ -72,6 +72,8 @@ SIMULATE = "calibrate map.nc --simulate --half-width-m 500 --tolerance-m 200"
         ("suitability map.nc --speed 50 --flights -3", "--flights"),
         ("suitability map.nc --speed 50 --heading 9000", "--heading"),
         ("suitability map.nc --speed 0", "--speed"),
+        ("suitability map.nc --speed 50 --route bare.csv", "--x"),
+        ("match map.nc log.csv --plot nowhere/fix.png", "needed a folder that is there, got nowhere"),
         (f"{SIMULATE} --sigma -1", "--sigma"),
         (f"{SIMULATE} --bias -2", "--bias"),
         (f"{SIMULATE} --samples -1", "--samples"),
@@ -98,19 +100,22 @@ def test_nonsense_is_refused_in_one_line(folder, capsys, monkeypatch, line, word
     assert not any(python in err for python in ("geographic=", "missing=", "variable=", "max_candidates"))
 
 
-def test_missing_folders_of_outputs_are_made_and_nothing_is_left_behind(folder, capsys, monkeypatch):
-    status, _, _ = call(capsys, folder, monkeypatch, "--record new/run.json info map.nc")
+def test_nothing_is_left_behind(folder, capsys, monkeypatch):
+    status, _, _ = call(capsys, folder, monkeypatch, "--record run.json info map.nc")
     assert status == 0
-    assert (folder / "new" / "run.json").exists()
+    assert (folder / "run.json").exists()
+    status, _, _ = call(capsys, folder, monkeypatch, "--record new/run.json info map.nc")
+    assert status == 1
+    assert not (folder / "new").exists()
     call(capsys, folder, monkeypatch, "match none.nc log.csv --report fix.html")
     assert not (folder / "fix.html").exists()
 
 
 def test_calibrate_reads_whether_a_map_is_in_metres(folder, capsys, monkeypatch):
-    status, out, err = call(capsys, folder, monkeypatch, f"{SIMULATE} --trials 5 --map-sigma 0 --out report/c.md")
+    status, out, err = call(capsys, folder, monkeypatch, f"{SIMULATE} --trials 5 --map-sigma 0 --out c.md")
     assert status == 0, err
     assert "5" in out
-    assert (folder / "report" / "c.md").exists()
+    assert (folder / "c.md").exists()
 
 
 def test_the_risk_of_a_contour_match_is_named_for_what_it_is(folder, capsys, monkeypatch):
@@ -132,3 +137,68 @@ def test_suitability_counts_the_map_and_not_what_a_track_can_reach(folder, capsy
     assert row["share_reached"] < 0.5
     assert row["share_with_fix"] <= row["share_reached"]
     assert row["share_with_fix"] == pytest.approx(row["share_with_fix_of_reached"] * row["share_reached"])
+
+
+def test_a_mistyped_path_makes_no_folder(folder, capsys, monkeypatch):
+    for option, name in (("--plot", "fix.png"), ("--report", "fix.html"), ("--geojson", "fix.json")):
+        status, out, _ = call(capsys, folder, monkeypatch, f"match map.nc log.csv {option} nowhere/{name}")
+        assert (status, out) == (1, "")
+    assert not (folder / "nowhere").exists()
+
+
+def test_no_fix_gives_no_order_to_move_by(folder, capsys, monkeypatch):
+    x, y = np.arange(0, 6000, 100.0), np.arange(0, 8000, 100.0)
+    geomag.GridMap(0.001 * np.sin(x / 500) * np.ones((80, 1)), x, y, name="anomaly").to_xarray().to_netcdf(
+        folder / "flat.nc"
+    )
+    line = "match flat.nc log.csv --map-sigma 0 --sigma 1 --half-width-m 500 --report flat.html"
+    status, out, _ = call(capsys, folder, monkeypatch, line)
+    assert status == 3
+    assert "correction" not in out
+    assert "because" in out
+    page = (folder / "flat.html").read_text(encoding="utf-8")
+    assert "is to be moved" not in page
+
+
+def test_readings_with_the_main_field_in_them_are_told(folder, capsys, monkeypatch):
+    rows = (folder / "log.csv").read_text().splitlines()
+    high = [rows[0], *(",".join([*r.split(",")[:2], str(float(r.split(",")[2]) * 0.01 + 48_000)]) for r in rows[1:])]
+    (folder / "high.csv").write_text("\n".join(high))
+    line = "match map.nc high.csv --map-sigma 0 --sigma 1 --half-width-m 500"
+    status, out, _ = call(capsys, folder, monkeypatch, line)
+    assert status == 3
+    assert "main field has not been taken out" in out
+
+
+def test_the_report_says_how_to_make_the_fix_again(folder, capsys, monkeypatch):
+    pytest.importorskip("matplotlib", reason="needs the extra 'plot'")
+    line = "match map.nc log.csv --map-sigma 0 --sigma 0.5 --tolerance-m 150 --report first.html --json"
+    status, first, _ = call(capsys, folder, monkeypatch, line)
+    assert status == 0
+    page = (folder / "first.html").read_text(encoding="utf-8")
+    command = page.split("<p><code>")[1].split("</code>")[0]
+    assert command.startswith("geomag match map.nc log.csv ")
+    assert "--half-width-m 2000" in command  # chosen by itself, named all the same
+    status, second, _ = call(capsys, folder, monkeypatch, command.removeprefix("geomag "))
+    assert json.loads(second)["offset_m"] == json.loads(first)["offset_m"]
+
+
+def test_a_route_says_where_fixes_can_be_had(folder, capsys, monkeypatch):
+    (folder / "plan.csv").write_text("x,y\n1000,2000\n4500,3000\n4500,7000\n")
+    line = "suitability map.nc --route plan.csv --speed 50 --interval 2 --samples 15 --sigma 1 --tolerance-m 150 --half-width-m 500"
+    status, out, _ = call(capsys, folder, monkeypatch, f"{line} --json --out plan-out.csv")
+    rows = json.loads(out)["route"]
+    assert status == 0
+    assert [r["distance_m"] for r in rows[:2]] == [1400.0, 2100.0]
+    assert all(0 <= r["fix_probability"] <= 1 for r in rows)
+    assert len((folder / "plan-out.csv").read_text().splitlines()) == len(rows) + 1
+    status, out, _ = call(capsys, folder, monkeypatch, line)
+    assert "windows on the map" in out
+    assert "nan" not in out
+
+
+def test_errors_speak_the_command_line(folder, capsys, monkeypatch):
+    status, _, err = call(capsys, folder, monkeypatch, "match map.nc bare.csv --x a --y b")
+    assert status == 1
+    assert "--value" in err
+    assert "value=" not in err

@@ -164,7 +164,7 @@ def test_a_scalar_with_the_main_field(survey, capsys, kind):
          "numbers in column 'word'"),
         (["eval", "model.json", "--grid=3,1,0,1,0.1", "--out", "m.nc"], "west < east"),
         (["eval", "model.json", "--grid=140.55,140.65,-22.05,-21.95,0.01"], "--out"),
-        (["eval", "model.json", "--grid=140.5,140.6,-22,-21.9,0.1", "--quantity", "anomaly", "--out", "m.nc"], "main_field"),
+        (["eval", "model.json", "--grid=140.5,140.6,-22,-21.9,0.1", "--quantity", "anomaly", "--out", "m.nc"], "--main-field"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line_and_status_1(survey, capsys, monkeypatch, arguments, words):

@@ -223,7 +223,8 @@ def test_what_filters_need_stays_with_the_map(grid):
     assert layered.with_error_model(**layered.error_model).error_model == plain | law
     assert pickle.loads(pickle.dumps(layered)).error_model == plain | law
     partly = grid.with_error_model(**plain, crossover=2.0).error_model
-    assert partly["crossover"] == 2.0 and set(partly) == set(plain | law)
+    assert partly["crossover"] == 2.0
+    assert set(partly) == set(plain | law)
     for name in law:
         with pytest.raises(geomag.InvalidInputError, match=name):
             grid.with_error_model(**plain, **(law | {name: -1.0}))

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from geomag import plot
+from geomag._explain import reasons, status_in_words
 from geomag._optional import require
 from geomag._versions import versions
 from geomag.plot._match import true_offset
@@ -28,17 +29,6 @@ if TYPE_CHECKING:
     from geomag._geomag import Fix, GridMap, Track
 
 __all__ = ["match_report"]
-
-_STATUS_WORDS = {
-    "fixed": "A fix: the position may be used.",
-    "searching": "No fix: more samples are needed to tell the candidates apart.",
-    "ambiguous": "No fix: two places, or more, fit about as well.",
-    "at_edge": "No fix: the best candidate lies on the border of the search; the truth may lie beyond it.",
-    "lost": "No fix: no candidate agrees with the readings.",
-    "uninformative": "No fix: the field along the track is too flat, or too little of it is known.",
-    "not_converged": "No fix: the iteration ended before it settled.",
-    "rejected": "No fix: a test on the answer refused it.",
-}
 
 _CSS = """
 :root { color-scheme: light; --ink: #1b1f24; --soft: #5b6470; --line: #d9dee4; --good: #00694d; --bad: #a84300; }
@@ -101,8 +91,14 @@ def _answer_rows(grid: GridMap, fix: Fix) -> list[tuple[str, object]]:
     rows: list[tuple[str, object]] = [("status", f"{fix.status} (ok: {'yes' if fix.ok else 'no'})")]
     if np.isfinite(fix.offset_m).all():
         rows += [
-            ("position (x, y)", f"{fix.x:.10g}, {fix.y:.10g} {unit}"),
-            ("offset (true minus indicated)", f"{fix.offset_m[0]:.1f} m east, {fix.offset_m[1]:.1f} m north"),
+            (
+                "position (x, y)" if fix.ok else "best candidate, not to be used (x, y)",
+                f"{fix.x:.10g}, {fix.y:.10g} {unit}",
+            ),
+            (
+                "offset (true minus indicated)" if fix.ok else "best candidate, not to be used (true minus indicated)",
+                f"{fix.offset_m[0]:.1f} m east, {fix.offset_m[1]:.1f} m north",
+            ),
             ("heading correction", _number(fix.heading_deg, "degrees")),
             ("scale correction", _number(fix.scale)),
         ]
@@ -228,9 +224,10 @@ def match_report(
     listed = ", ".join(f"{name} {version}" for name, version in versions().items() if version)
     add("Versions", f"<p><code>{html.escape(listed)}</code></p>")
 
-    words = html.escape(_STATUS_WORDS.get(fix.status, fix.status))
-    moved = ""
-    if np.isfinite(fix.offset_m).all():
+    words = html.escape(status_in_words(fix))
+    # Without a fix nobody is told where to move.
+    moved = "".join(f"<p>{html.escape(reason[:1].upper() + reason[1:])}</p>" for reason in reasons(grid, track, fix))
+    if fix.ok:
         east, north = fix.offset_m
         moved = (
             f"<p>The indicated position is to be moved by {abs(east):.0f} m {'east' if east >= 0 else 'west'} and "

@@ -78,7 +78,9 @@ def run(arguments: Sequence[str]) -> int:
         sys.stderr.write("geomag: interrupted\n")
         return 130
     except GeomagError as error:
-        sys.stderr.write(f"geomag: {in_options(str(error))}\n")
+        from geomag.cli._settings import options_of
+
+        sys.stderr.write(f"geomag: {in_options(str(error), options_of(typer.main.get_command(app)))}\n")
         return BAD_INPUT
     except (OSError, OverflowError, MemoryError) as error:
         # A full disk, a number beyond what the core counts with.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +41,10 @@ def _writable(option: str, path: Path) -> None:
         raise InvalidInputError(f"{option}: needed a file, got the folder {path}")
     if path.exists() and not path.is_file():
         return  # a pipe or a device
+    if not path.parent.is_dir():
+        raise InvalidInputError(f"{option}: needed a folder that is there, got {path.parent} (for {path.name})")
     new = not path.exists()
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("ab"):
             pass
         if new:
@@ -53,7 +54,7 @@ def _writable(option: str, path: Path) -> None:
 
 
 def output(param: typer.CallbackParam, value: Path | None) -> Path | None:
-    """A file that can be written; missing folders are made."""
+    """A file that can be written, in a folder that is there: a mistyped path makes none."""
     if value is not None:
         _writable(param.opts[0], value)
     return value
@@ -76,12 +77,18 @@ _WORDS: Iterable[tuple[str, str]] = (
         r"max_candidates allows (\d+); raise it, enlarge the step or shrink the search",
         r"the limit is \1; shrink the search",
     ),
-    (r"\b(variable|x|y|value|line)= ", r"--\1 "),
 )
+#: An argument named as such, or at the head of a message.
+_ARGUMENT = re.compile(r"\b([a-z]+(?:_[a-z0-9]+)*)=(?=[\s,.;:)]|$)|^([a-z]+(?:_[a-z0-9]+)+)(?=[ :])")
 
 
-def in_options(message: str) -> str:
-    """A message of the library in the words of the command line."""
+def in_options(message: str, options: Collection[str]) -> str:
+    """A message of the library in the words of the command line, which has these `options` (`--half-width-m`)."""
     for python, here in _WORDS:
         message = re.sub(python, here, message)
-    return message.replace("\n", " ")
+
+    def named(found: re.Match[str]) -> str:
+        option = "--" + (found[1] or found[2]).replace("_", "-")
+        return option if option in options else found[0]
+
+    return _ARGUMENT.sub(named, message).replace("\n", " ")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
+from geomag._explain import reasons, status_in_words
 from geomag._geomag import GridMap, Track
 from geomag.io import read_track
 
@@ -60,27 +61,36 @@ def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: s
     return read_track(path, x, y, value, missing="drop" if drop else "error")
 
 
-def half_width(grid: GridMap, track: Track, metres: float) -> tuple[float, float]:
-    """Half size of a search in map units from metres."""
-    east, north = grid.metres_per_unit(float(track.y[-1]))
-    return metres / east, metres / north
+def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error is beyond the tolerance") -> list[str]:
+    """What a navigator wants to know, in words; `risk` says of what the fix's risk is.
 
-
-def describe(fix: Fix, risk: str = "that the error is beyond the tolerance") -> list[str]:
-    """What a navigator wants to know, in words; `risk` says of what the fix's risk is."""
-    lines = [f"status      {fix.status}{'' if fix.ok else '  (not to be used)'}"]
+    Without a fix the best candidate is not given as a correction, so that nobody moves by it.
+    """
+    lines = [f"status      {fix.status}  {status_in_words(fix)}"]
+    lines += [f"{'because' if k == 0 else '':<11} {reason}" for k, reason in enumerate(reasons(grid, track, fix))]
     if math.isfinite(fix.x):
         east, north = fix.offset_m
-        lines += [
-            f"position    x {fix.x:.6f}  y {fix.y:.6f}",
-            f"correction  {east:+.1f} m east  {north:+.1f} m north",
-        ]
+        place = f"x {fix.x:.6f}  y {fix.y:.6f}" if grid.geographic else f"x {fix.x:.1f} m  y {fix.y:.1f} m"
+        if fix.ok:
+            lines += [f"position    {place}", f"correction  {east:+.1f} m east  {north:+.1f} m north"]
+        else:
+            lines.append(
+                f"best guess  {place}, {math.hypot(east, north):.0f} m from where the INS says; not to be used"
+            )
         if fix.heading_deg or fix.scale != 1.0:
             lines.append(f"            heading {fix.heading_deg:+.2f} deg  scale {fix.scale:.4f}")
     if fix.covariance_m2 is not None:
         s = np.sqrt(np.diag(fix.covariance_m2))
         lines.append(f"sigma       {s[0]:.1f} m east  {s[1]:.1f} m north (one standard deviation)")
     if fix.risk is not None:
-        lines.append(f"risk        {fix.risk:.2e} {risk}")
-    lines.append(f"score       {fix.score:.4g}  runner-up {fix.runner_up:.4g}  from {fix.n_samples} samples")
+        lines.append(f"risk        {percent(fix.risk)} {risk}")
+    scores = f"score       {fix.score:.4g}" + (
+        f"  runner-up {fix.runner_up:.4g}" if math.isfinite(fix.runner_up) else ""
+    )
+    lines.append(f"{scores}  from {fix.n_samples} samples")
     return lines
+
+
+def percent(share: float) -> str:
+    """A probability with the digits that mean something."""
+    return "under 0.01 %" if share < 1e-4 else f"{100.0 * share:.2g} %" if share < 0.995 else f"{100.0 * share:.4g} %"

@@ -44,10 +44,40 @@ def _checked(told: dict[str, Any], command: Command, path: str, table: str) -> d
     return out
 
 
+def again(context: Any, resolved: dict[str, object]) -> tuple[dict[str, object], str]:  # noqa: ANN401 - click's, or typer's own
+    """Every setting of the command that runs, and a command line that does the same again.
+
+    `resolved` has what the command chose itself where nothing was said, by the name of the parameter.
+    """
+    settings: dict[str, object] = {}
+    words = ["geomag", context.command.name]
+    for parameter in context.command.params:
+        name = parameter.name
+        value = resolved.get(name, context.params.get(name))
+        if parameter.param_type_name == "argument":
+            settings[name] = value
+            words.append(str(value))
+            continue
+        option = parameter.opts[0]
+        settings[option.lstrip("-")] = value
+        if value is None or value == parameter.get_default(context):
+            continue
+        if isinstance(value, bool):
+            words.append(option if value else (parameter.secondary_opts or [option])[0])
+        else:
+            words += [option, str(getattr(value, "value", value))]
+    return {k: getattr(v, "value", v) for k, v in settings.items() if v is not None}, shlex.join(words)
+
+
 def _walk(command: Command) -> Iterator[Command]:
     yield command
     for inner in getattr(command, "commands", {}).values():
         yield from _walk(inner)
+
+
+def options_of(command: Command) -> set[str]:
+    """Every option that a command or one of its own has."""
+    return {option for each in _walk(command) for parameter in each.params for option in parameter.opts}
 
 
 @contextmanager

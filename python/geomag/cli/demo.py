@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +15,8 @@ from geomag._optional import require
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import MAX_SEED, picture
 from geomag.cli._common import describe, fix_json, teller
-from geomag.cli.match import draw, solve
+from geomag.cli._methods import Settings, risk_of, solve
+from geomag.cli.match import draw
 from geomag.io import read_grid
 
 if TYPE_CHECKING:
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
+
+
+#: What counts as wrong in the demo.
+TOLERANCE_M = 300.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,9 @@ def synthetic_scene(seed: int) -> Scene:
     west, south, east, north = 16.0, 47.0, 16.6, 47.4
     crust = synthetic.Crust(texture_rms=90.0, height_m=600.0, longest_m=30_000.0, inclination_deg=64.0)
     field = crust.draw((west, south, east, north), geographic=True, seed=seed)
-    grid = field.grid(0.0025, name="total_field_anomaly", units="nT")
+    drawn = field.grid(0.00125, name="total_field_anomaly", units="nT")
+    # A map that is right at its nodes; a real one brings what is known of its errors (geomag map, --line-spacing-m).
+    grid = GridMap(drawn.values, drawn.x, drawn.y, geographic=True, sigma=0.0, name=drawn.name, units=drawn.units)
     rng = np.random.default_rng(seed)
     course = float(rng.uniform(30, 80))
     path = synthetic.Path.straight(
@@ -135,14 +142,14 @@ def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spac
 @app.command(epilog="Example: geomag demo --seed 7 --out demo.png")
 def demo(
     seed: Annotated[int, typer.Option(min=0, max=MAX_SEED, help="Seed of everything that is drawn.")] = 1,
-    out: Annotated[Path, typer.Option(callback=picture, help="Picture to write.")] = Path("out/demo.png"),
+    out: Annotated[Path, typer.Option(callback=picture, help="Picture to write.")] = Path("demo.png"),
     lines: Annotated[Path | None, typer.Option(help="Survey lines (CSV) instead of made-up data.")] = None,
     map: Annotated[Path | None, typer.Option(help="Map that goes with the lines.")] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="One JSON object (the fix and its error) instead of text.")
     ] = False,
 ) -> int:
-    """Match a track with IEMA and grid search, say what a navigator wants to know, and draw it."""
+    """Match a track with a declared risk, show what IEMA and grid search say of the same flight, and draw it."""
     if (lines is None) != (map is None):
         raise InvalidInputError("demo: needed --lines and --map together, got one of them")
     scene = synthetic_scene(seed) if lines is None or map is None else survey_scene(lines, map, seed)
@@ -150,22 +157,26 @@ def demo(
     say = teller(as_json)
     say(f"scene       {scene.title}: {len(scene.track)} samples on {scene.grid!r}")
     say(f"truth       the INS is wrong by {np.hypot(east, north):.0f} m ({-east:+.0f} m east, {-north:+.0f} m north)")
-    # IEMA's gate knows the sensor alone; off the lattice the map differs by gradient times part of a cell, so the demo
-    # gives it that much more, lets a few outliers pass, and asks for a region instead of a single candidate.
+    told = Settings(half_width_m=scene.half_width_m, sigma=scene.sigma, tolerance_m=TOLERANCE_M, surface=True)
+    fix, _ = solve(scene.grid, scene.track, "posterior", told)
+    # IEMA's gate knows the sensor alone; off the lattice the map differs by gradient times part of a cell, so it is given that much
+    # more here, a few outliers may pass, and a region is asked for instead of a single candidate.
     slope = float(np.nanmedian(np.hypot(*scene.grid.gradient(*scene.truth.T))))
     spread = 2.0 * scene.sigma + 0.3 * slope * max(scene.grid.spacing_m)
-    iema, steps = solve(
-        scene.grid, scene.track, "iema", scene.half_width_m, sigma=spread, max_misses=2, tolerance_m=300.0, surface=True
-    )
-    search, _ = solve(scene.grid, scene.track, "mad", scene.half_width_m, surface=True)
-    for name, fix in (("IEMA", iema), ("grid search, mean absolute difference about a free level", search)):
+    iema, steps = solve(scene.grid, scene.track, "iema", replace(told, sigma=spread, max_misses=2, tolerance_m=300.0))
+    search, _ = solve(scene.grid, scene.track, "mad", replace(told, sigma=None, tolerance_m=0.0))
+    for name, answer, risk in (
+        ("calibrated match: a fix with its risk", fix, risk_of("posterior", TOLERANCE_M)),
+        ("the same flight by IEMA", iema, ""),
+        ("the same flight by grid search, mean absolute difference about a free level", search, ""),
+    ):
         say(f"\n{name}")
-        say("\n".join(describe(fix)))
-        if np.isfinite(fix.offset_m).all():
-            say(f"error       {np.hypot(fix.offset_m[0] - east, fix.offset_m[1] - north):.0f} m")
-    draw(scene.grid, scene.track, search, out, "mad, nT", steps, truth=scene.truth)
+        say("\n".join(describe(scene.grid, scene.track, answer, risk)))
+        if np.isfinite(answer.offset_m).all():
+            say(f"error       {np.hypot(answer.offset_m[0] - east, answer.offset_m[1] - north):.0f} m")
+    draw(scene.grid, scene.track, fix, out, "posterior", steps, truth=scene.truth)
     say(f"\npicture     {out}")
     if as_json:
-        error = float(np.hypot(search.offset_m[0] - east, search.offset_m[1] - north))
-        typer.echo(fix_json(search, error_m=error, picture=str(out)))
-    return 0 if search.ok else NO_FIX
+        error = float(np.hypot(fix.offset_m[0] - east, fix.offset_m[1] - north))
+        typer.echo(fix_json(fix, error_m=error, picture=str(out)))
+    return 0 if fix.ok else NO_FIX

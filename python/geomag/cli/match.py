@@ -2,55 +2,30 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid, match_posterior
+from geomag._geomag import Fix, GridMap, Track
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
-from geomag.cli._common import describe, fix_json, half_width, load_track
+from geomag.cli._common import describe, fix_json, load_track
+from geomag.cli._methods import (
+    IEMA_SIGMA,
+    LARGEST_IS_BEST,
+    MEANT_FOR,
+    NOT_TO_THE_LETTER,
+    Feasible,
+    Method,
+    Settings,
+    risk_of,
+    solve,
+)
+from geomag.cli._settings import again
 from geomag.io import read_grid
 from geomag.survey import with_line_spacing
-
-#: Number of samples, feasible set, and the offsets of its columns and rows.
-Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
-
-
-class Method(StrEnum):
-    """Matchers of the command line."""
-
-    iema = "iema"
-    msd = "msd"
-    mad = "mad"
-    prod = "prod"
-    ncc = "ncc"
-    hausdorff = "hausdorff"
-    posterior = "posterior"
-    contour = "contour"
-
-
-#: Methods that options are for; others have no use for them.
-MEANT_FOR = {
-    "max_misses": {"iema"},
-    "letter": {"contour"},
-    "max_risk": {"posterior"},
-    "map_sigma": {"posterior", "contour"},
-    "line_spacing_m": {"posterior", "contour"},
-    "scale_sigma": {"posterior", "contour"},
-    "tolerance_m": {"iema", "posterior", "contour"},
-    "heading_deg": {"msd", "mad", "prod", "ncc", "hausdorff", "posterior", "contour"},
-}
-#: Options that plain ICCP has no use for.
-NOT_TO_THE_LETTER = ("tolerance_m", "heading_deg", "scale_sigma")
-
-#: Whose scores are good where they are large.
-LARGEST_IS_BEST = ("prod", "ncc", "posterior")
 
 
 def default_half_width_m(grid: GridMap) -> float:
@@ -59,13 +34,13 @@ def default_half_width_m(grid: GridMap) -> float:
 
 
 @app.command(
-    epilog="Example: geomag match survey.nc log.csv --method msd --half-width-m 1500 --json",
+    epilog="Example: geomag match survey.nc log.csv --half-width-m 1500 --sigma 2 --tolerance-m 200",
 )
 def match(
     context: typer.Context,
     map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
     track: Annotated[Path, typer.Argument(help="Track file: CSV, text or Parquet with position and value columns.")],
-    method: Annotated[Method, typer.Option(help="Matcher.")] = Method.msd,
+    method: Annotated[Method, typer.Option(help="Matcher.")] = Method.posterior,
     half_width_m: Annotated[
         float | None,
         typer.Option(
@@ -76,7 +51,7 @@ def match(
         float | None,
         typer.Option(
             callback=positive,
-            help="Standard deviation of a measured value. Needed by the IEMA gate: default 10; else estimated.",
+            help=f"Standard deviation of a measured value. Needed by the IEMA gate: default {IEMA_SIGMA:g}; else estimated.",
         ),
     ] = None,
     remove_mean: Annotated[bool, typer.Option(help="Take a constant (base level, diurnal) out of msd and mad.")] = True,
@@ -148,11 +123,8 @@ def match(
         grid = with_line_spacing(grid, line_spacing_m)
     samples = load_track(track, grid, x, y, value, drop_missing)
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
-    fix, steps = solve(
-        grid,
-        samples,
-        method.value,
-        reach,
+    told = Settings(
+        half_width_m=reach,
         sigma=sigma,
         remove_mean=remove_mean,
         tolerance_m=tolerance_m,
@@ -163,18 +135,11 @@ def match(
         letter=letter,
         surface=plot is not None or report is not None,
     )
+    fix, steps = solve(grid, samples, method.value, told)
     if plot is not None:
         draw(grid, samples, fix, plot, method.value, steps)
     if report is not None:
-        told: dict[str, object] = {
-            "map": map,
-            "track": track,
-            "method": method.value,
-            "half-width-m": reach,
-            "sigma": sigma,
-        }
-        told |= {"tolerance-m": tolerance_m, "max-misses": max_misses, "heading-deg": heading_deg}
-        write_report(grid, samples, fix, report, method.value, steps, told)
+        write_report(grid, samples, fix, report, method.value, steps, *again(context, {"half_width_m": reach}))
     if geojson is not None:
         from geomag.exchange import write_geojson
 
@@ -183,7 +148,7 @@ def match(
     if json_:
         typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
     else:
-        typer.echo("\n".join(describe(fix, risk_of(method.value, tolerance_m))))
+        typer.echo("\n".join(describe(grid, samples, fix, risk_of(method.value, tolerance_m))))
     return 0 if fix.ok else NO_FIX
 
 
@@ -195,98 +160,6 @@ def refuse_idle(context: typer.Context, method: str, letter: bool) -> None:
         if source is not None and source.name == "COMMANDLINE" and idle:
             what = "contour without --letter" if method in methods else f"--method {' or '.join(sorted(methods))}"
             raise InvalidInputError(f"--{name.replace('_', '-')}: needed {what}, got {method}")
-
-
-def risk_of(method: str, tolerance_m: float) -> str:
-    """Of what the risk of a fix is, which differs from method to method."""
-    if method == "contour":
-        what = f"that the error is beyond {tolerance_m:g} m" if tolerance_m else "of another minimum of the misfit"
-        return f"{what} (not calibrated)"
-    return f"that the error is beyond {f'{tolerance_m:g} m' if tolerance_m else 'one cell of the map'}"
-
-
-def solve(
-    grid: GridMap,
-    track: Track,
-    method: str,
-    half_width_m: float,
-    *,
-    sigma: float | None = None,
-    remove_mean: bool = True,
-    tolerance_m: float = 0.0,
-    max_risk: float = 0.01,
-    max_misses: int = 0,
-    heading_deg: float = 0.0,
-    scale_sigma: float = 0.0,
-    letter: bool = False,
-    surface: bool = False,
-) -> tuple[Fix, list[Feasible]]:
-    """Run one matcher; for IEMA with `surface` also the feasible set after every sample."""
-    if not (np.isfinite(half_width_m) and half_width_m > 0):
-        raise InvalidInputError(f"--half-width-m: needed a number > 0, got {half_width_m}")
-    reach = half_width(grid, track, half_width_m)
-    if method == "iema":
-        iema = Iema(
-            grid,
-            sigma=10.0 if sigma is None else sigma,
-            half_width=reach,
-            tolerance=half_width(grid, track, tolerance_m),
-            max_misses=max_misses,
-        )
-        if not surface:
-            return iema.run(track), []
-        frames: list[Feasible] = []
-        for px, py, v in zip(track.x, track.y, track.values, strict=True):
-            step = iema.update(px, py, v)
-            frames.append((step.n_samples, iema.feasible, *iema.offsets))
-            if step.status != "searching":
-                break
-        return iema.run(track), frames
-    if method == "posterior":
-        fix = match_posterior(
-            grid,
-            track,
-            half_width=reach,
-            sigma=sigma,
-            tolerance_m=tolerance_m or None,
-            max_risk=max_risk,
-            bias_sigma=None if remove_mean else 0.0,
-            heading_sigma_deg=heading_deg,
-            scale_sigma=scale_sigma,
-            surface=surface,
-        )
-        return fix, []
-    if method == "contour" and letter:
-        return match_contour(grid, track, sigma=sigma, radius_m=half_width_m), []
-    if method == "contour":
-        found = match_contour(
-            grid,
-            track,
-            transform="translation",
-            starts="grid",
-            refine=True,
-            sigma=sigma,
-            half_width_m=half_width_m,
-            # The half width bounds the INS error: three standard deviations.
-            offset_sigma_m=half_width_m / 3.0,
-            heading_sigma_deg=heading_deg or None,
-            scale_sigma=scale_sigma or None,
-            bias_sigma=np.inf if remove_mean else None,
-            fix_radius_m=tolerance_m or None,
-        )
-        return found, []
-    headings = np.linspace(-heading_deg, heading_deg, 11) if heading_deg else [0.0]
-    fix = match_grid(
-        grid,
-        track,
-        method,
-        half_width=reach,
-        sigma=sigma,
-        remove_mean=remove_mean and method in ("msd", "mad"),
-        heading_deg=headings,
-        surface=surface,
-    )
-    return fix, []
 
 
 def draw(
@@ -326,6 +199,7 @@ def write_report(
     method: str,
     steps: list[Feasible],
     settings: dict[str, object],
+    command: str,
 ) -> None:
     """Write the HTML page of a match."""
     from geomag.plot import Frame
@@ -340,5 +214,6 @@ def write_report(
         surface_label=method,
         least_is_best=method not in LARGEST_IS_BEST,
         settings=settings,
+        command=command,
         title=f"Match of {settings['track']} on {settings['map']}",
     )

@@ -11,7 +11,8 @@ import typer
 
 from geomag.cli import app
 from geomag.cli._checks import direction, not_negative, output, picture, positive
-from geomag.cli._common import jsonable, teller
+from geomag.cli._common import jsonable, percent, teller
+from geomag.cli._route import along_route, read_route
 from geomag.io import read_grid
 
 
@@ -48,7 +49,17 @@ def suitability(
     half_width_m: Annotated[
         float, typer.Option(callback=positive, help="Bound of the INS error of those flights, m.")
     ] = 2000.0,
-    out: Annotated[Path | None, typer.Option(callback=output, help="Write the results to this netCDF file.")] = None,
+    route: Annotated[
+        Path | None,
+        typer.Option(
+            help="Waypoints (a table in the map's coordinates): what this route promises, instead of every node."
+        ),
+    ] = None,
+    x: Annotated[str | None, typer.Option(help="Column of x or longitude of the waypoints.")] = None,
+    y: Annotated[str | None, typer.Option(help="Column of y or latitude of the waypoints.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(callback=output, help="Write the results to this file: netCDF, or CSV of a route.")
+    ] = None,
     plot: Annotated[
         Path | None, typer.Option(callback=picture, help="Write a picture of the worst heading to this file.")
     ] = None,
@@ -60,6 +71,12 @@ def suitability(
     from geomag.blocks import position_bound
 
     grid = read_grid(map, variable, geographic=geographic)
+    if route is not None:
+        rows = along_route(
+            grid, *read_route(route, x, y), spacing_m=speed * interval, samples=samples, half_width_m=half_width_m,
+            tolerance_m=tolerance_m, sigma=sigma,
+        )  # fmt: skip
+        return tell_route(rows, speed, out, as_json)
     headings = heading or [0.0, 90.0]
     found = position_bound(
         grid.to_xarray(),
@@ -95,9 +112,11 @@ def suitability(
             f" ({good.sum() / known.sum():.0%} of the nodes at which such a track can end)"
         )
         if good.any():
-            seconds, median = float(np.nanmedian(count[good])) * interval, float(np.median(error[good]))
+            median, soonest = float(np.median(error[good])), count[good][np.isfinite(count[good])]
+            seconds = float(np.median(soonest)) * interval if soonest.size else None
             told[h] |= {"median_error_m": median, "median_time_s": seconds}
-            text += f", there {median:.0f} m (median) after {seconds / 60.0:.1f} min (median)"
+            text += f", there {median:.0f} m (median)"
+            text += f" after {seconds / 60.0:.1f} min (median)" if seconds is not None else ""
         say(text)
     if flights:
         from geomag.calibration import suitability as simulate
@@ -114,11 +133,9 @@ def suitability(
             )
             say(f"heading {h:5.1f}  {text}")
         if out is not None:
-            out.parent.mkdir(parents=True, exist_ok=True)
             over.to_netcdf(out.with_name(out.stem + "_flights" + out.suffix))
     if out is not None:
         found.attrs.update(speed_m_s=speed, interval_s=interval, sigma=sigma, tolerance_m=tolerance_m)
-        out.parent.mkdir(parents=True, exist_ok=True)
         found.to_netcdf(out)
     if plot is not None:
         from geomag.plot import save, suitability_map
@@ -132,4 +149,29 @@ def suitability(
     if as_json:
         rows = [{"heading_deg": h, **facts} for h, facts in told.items()]
         typer.echo(json.dumps(jsonable({"headings": rows, "out": out and str(out), "plot": plot and str(plot)})))
+    return 0
+
+
+def tell_route(rows: list[dict[str, float | None]], speed: float, out: Path | None, as_json: bool) -> int:
+    """Print, and write where asked, what a route promises."""
+    if out is not None:
+        names = list(rows[0])
+        lines = [",".join(names), *(",".join("" if r[n] is None else f"{r[n]:.9g}" for n in names) for r in rows)]
+        out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    if as_json:
+        typer.echo(json.dumps(jsonable({"route": rows, "out": out and str(out)})))
+        return 0
+    for row in rows:
+        at = f"{float(row['distance_m'] or 0) / 1000:7.1f} km  {float(row['distance_m'] or 0) / speed / 60:6.1f} min"
+        if row["fix_probability"] is None or row["sigma_m"] is None:
+            typer.echo(f"{at}  off the known map")
+        else:
+            typer.echo(
+                f"{at}  a fix in {percent(row['fix_probability'])} of flights, {row['sigma_m']:.0f} m (one standard deviation)"
+            )
+    known = [row["fix_probability"] for row in rows if row["fix_probability"] is not None]
+    typer.echo(
+        f"{len(known)} of {len(rows)} windows on the map"
+        + (f", a fix in {percent(sum(known) / len(known))} of them" if known else "")
+    )
     return 0

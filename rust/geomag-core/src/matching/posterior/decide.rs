@@ -5,47 +5,13 @@ use super::misfit;
 use super::problem::Problem;
 use super::search::Lattice;
 use crate::fix::{Fix, Status, Surface};
+use crate::statistics::round_normal_in_disc;
 use crate::track::Track;
 
-/// Nodes and weights of Gauss-Hermite quadrature for a standard normal variable (Abramowitz and Stegun, table 25.10, n = 10,
-/// rescaled by sqrt 2 and 1 / sqrt pi).
-const HERMITE: [(f64, f64); 5] = [
-    (0.484_935_707_515_497_9, 0.344_642_334_932_019_6),
-    (1.465_989_094_391_158, 0.135_483_702_980_267_5),
-    (2.484_325_841_638_955, 0.019_111_580_500_770_36),
-    (3.581_823_483_551_927, 0.000_758_070_934_312_217_6),
-    (4.859_462_828_332_313, 4.310_652_630_718_302e-6),
-];
 /// Share of the prior's variance above which the field has told nothing.
 const UNINFORMED: f64 = 0.5;
 /// Probability of a candidate that changes no risk.
 const NOTHING: f64 = 1e-12;
-
-/// Probability that a point at distance `d` from the centre, displaced by a normal error of `sigma` per axis, lies
-/// within `radius` of it.
-pub(super) fn within(d: f64, sigma: f64, radius: f64) -> f64 {
-    if sigma <= 1e-9 * radius {
-        return f64::from(d <= radius);
-    }
-    if d - radius > 6.0 * sigma {
-        return 0.0;
-    }
-    if radius - d > 6.0 * sigma {
-        return 1.0;
-    }
-    // Across the line of centres the error is integrated out exactly, along it by quadrature.
-    let mut sum = 0.0;
-    for (node, weight) in HERMITE {
-        for u in [node, -node] {
-            let along = d + sigma * u;
-            let rest = radius * radius - along * along;
-            if rest > 0.0 {
-                sum += weight * libm::erf((rest / 2.0).sqrt() / sigma);
-            }
-        }
-    }
-    sum.min(1.0)
-}
 
 fn square(x: f64, y: f64) -> f64 {
     x * x + y * y
@@ -84,7 +50,8 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
             continue;
         }
         let [east, north] = metres(*o);
-        inside += p[i] * within(square(east - centre[0], north - centre[1]).sqrt(), posterior.blur_m[i], tolerance);
+        inside += p[i]
+            * round_normal_in_disc(square(east - centre[0], north - centre[1]).sqrt(), posterior.blur_m[i], tolerance);
         mean[0] += p[i] * east;
         mean[1] += p[i] * north;
     }

@@ -16,7 +16,7 @@ use crate::error::Result;
 use crate::fix::{Fix, Status};
 use crate::matching::scene::{Motion, Scene};
 use crate::monitor::Monitor;
-use crate::statistics::{chi_square_survival, normal_tail};
+use crate::statistics::{chi_square_survival, normal_in_disc};
 use descent::Refiner;
 
 /// Share of the prior's variance above which the field has told too little to call the answer a fix.
@@ -99,37 +99,8 @@ pub(crate) fn answer(
     })
 }
 
-/// Probability that the position of a minimum lies further than `tolerance` metres from that of the best one: the mass
-/// of its normal density outside a disc, integrated along its principal axis by Simpson's rule.
+/// Probability that the position of a minimum lies further than `tolerance` metres from that of the best one.
 fn mass_outside(tolerance: f64, best: &Minimum, minimum: &Minimum) -> f64 {
-    const INTERVALS: u32 = 128;
-    let [[ee, en], [_, nn]] = minimum.position_covariance();
-    let angle = 0.5 * (2.0 * en).atan2(ee - nn);
-    let (sin, cos) = angle.sin_cos();
-    let apart =
-        [minimum.motion.offset_m[0] - best.motion.offset_m[0], minimum.motion.offset_m[1] - best.motion.offset_m[1]];
-    let mean = [cos * apart[0] + sin * apart[1], cos * apart[1] - sin * apart[0]];
-    let sigma_u = (cos * cos * ee + 2.0 * sin * cos * en + sin * sin * nn).max(0.0).sqrt();
-    let sigma_v = (sin * sin * ee - 2.0 * sin * cos * en + cos * cos * nn).max(0.0).sqrt();
-    let tiny = 1e-9 * tolerance;
-    let (sigma_u, sigma_v) = (sigma_u.max(tiny), sigma_v.max(tiny));
-    let (low, high) = ((mean[0] - 9.0 * sigma_u).max(-tolerance), (mean[0] + 9.0 * sigma_u).min(tolerance));
-    if low >= high {
-        return 1.0;
-    }
-    let below = |z: f64| normal_tail(-z);
-    let integrand = |u: f64| {
-        let half = (tolerance * tolerance - u * u).max(0.0).sqrt();
-        let inside = below((half - mean[1]) / sigma_v) - below((-half - mean[1]) / sigma_v);
-        let z = (u - mean[0]) / sigma_u;
-        inside * (-0.5 * z * z - crate::constants::LN_SQRT_2PI).exp() / sigma_u
-    };
-    let step = (high - low) / f64::from(INTERVALS);
-    let sum: f64 = (0..=INTERVALS)
-        .map(|i| {
-            let weight = if i == 0 || i == INTERVALS { 1.0 } else { f64::from(2 + 2 * (i % 2)) };
-            weight * integrand(low + step * f64::from(i))
-        })
-        .sum();
-    (1.0 - sum * step / 3.0).clamp(0.0, 1.0)
+    let (from, to) = (best.motion.offset_m, minimum.motion.offset_m);
+    1.0 - normal_in_disc([to[0] - from[0], to[1] - from[1]], minimum.position_covariance(), tolerance)
 }

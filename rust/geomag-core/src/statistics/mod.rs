@@ -1,8 +1,11 @@
 //! Tails of the laws that residuals and innovations are judged by. The special functions are those of `libm` and `statrs`.
 
+mod disc;
+
 use statrs::function::{beta::beta_reg, gamma};
 
 use crate::error::{Error, Result};
+pub(crate) use disc::{normal_in_disc, round_normal_in_disc};
 
 /// Probability that a chi-square variable with `dof` degrees of freedom is at most `x`; NaN without a degree of freedom.
 ///
