@@ -64,7 +64,7 @@ def _main(
 
 
 # Each registers its command on `app`.
-from geomag.cli import bench, calibrate, demo, field, info, match, reproduce, stream, suitability  # noqa: E402, F401
+from geomag.cli import bench, calibrate, demo, field, info, match, reproduce, stream, stress, suitability  # noqa: E402, F401
 
 
 def run(arguments: Sequence[str]) -> int:

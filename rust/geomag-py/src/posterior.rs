@@ -73,6 +73,8 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
 ///     changes with its heading.
 /// bias_walk : float
 ///     Standard deviation of what a slow drift of the bias amounts to over the track, value units.
+/// height_sigma_m : float
+///     Standard deviation of the height of the readings above the map, metres, at most 600: the map is continued to a few heights.
 /// drift_sigma_m : float
 ///     Growth of the INS error over the track, one standard deviation, metres.
 /// heading_sigma_deg, scale_sigma : float
@@ -121,7 +123,7 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
 /// (True, True)
 #[pyfunction]
 #[pyo3(signature = (grid, track, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
-    bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
+    bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, height_sigma_m = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
     interpolation = "bilinear", misfit_threshold = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, surface = false, more = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn match_posterior(
@@ -136,6 +138,7 @@ pub fn match_posterior(
     bias_sigma: Option<f64>,
     leg_bias_sigma: f64,
     bias_walk: f64,
+    height_sigma_m: f64,
     drift_sigma_m: f64,
     heading_sigma_deg: f64,
     scale_sigma: f64,
@@ -153,7 +156,7 @@ pub fn match_posterior(
     let (half_width, step) = extent(half_width, step)?;
     let interpolation = named(interpolation)?;
     let options = options! {
-        half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, drift_sigma_m, heading_sigma_deg, scale_sigma,
+        half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
         position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates, surface
     };
     let more = extras(more)?;
@@ -218,7 +221,7 @@ pub fn match_posterior(
 /// [200.0, -50.0, -150.0]
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
-    bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
+    bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, height_sigma_m = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
     interpolation = "bilinear", misfit_threshold = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, streaming = false, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn match_posterior_many(
@@ -233,6 +236,7 @@ pub fn match_posterior_many(
     bias_sigma: Option<f64>,
     leg_bias_sigma: f64,
     bias_walk: f64,
+    height_sigma_m: f64,
     drift_sigma_m: f64,
     heading_sigma_deg: f64,
     scale_sigma: f64,
@@ -250,7 +254,7 @@ pub fn match_posterior_many(
     let (half_width, step) = extent(half_width, step)?;
     let interpolation = named(interpolation)?;
     let options = options! {
-        half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, drift_sigma_m, heading_sigma_deg, scale_sigma,
+        half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
         position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
     };
     let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
@@ -327,7 +331,7 @@ impl PyPosteriorStep {
 ///     Bound of the INS error (x, y), map units.
 /// max_samples : int
 ///     Samples kept, at least 3; when there are more the oldest is let go.
-/// sigma, tolerance_m, max_risk, step, bias_sigma, leg_bias_sigma, bias_walk, drift_sigma_m, heading_sigma_deg, scale_sigma, position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
+/// sigma, tolerance_m, max_risk, step, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma, position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
 ///     As in `match_posterior`.
 ///
 /// Raises
@@ -364,7 +368,7 @@ impl PyPosteriorMatcher {
 impl PyPosteriorMatcher {
     #[new]
     #[pyo3(signature = (grid, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
-        bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0,
+        bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, height_sigma_m = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0,
         nu = None, interpolation = "bilinear", misfit_threshold = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, max_samples = 200))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
@@ -377,6 +381,7 @@ impl PyPosteriorMatcher {
         bias_sigma: Option<f64>,
         leg_bias_sigma: f64,
         bias_walk: f64,
+        height_sigma_m: f64,
         drift_sigma_m: f64,
         heading_sigma_deg: f64,
         scale_sigma: f64,
@@ -393,7 +398,7 @@ impl PyPosteriorMatcher {
         let (half_width, step) = extent(half_width, step)?;
         let interpolation = named(interpolation)?;
         let options = options! {
-            half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, drift_sigma_m, heading_sigma_deg, scale_sigma,
+            half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
             position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
         };
         let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;

@@ -18,6 +18,21 @@ pub(crate) const HEIGHTS_M: [f64; 5] = [75.0, 150.0, 300.0, 600.0, 1200.0];
 /// law.
 const KERNELS: [f64; 7] = [11.155, 3.678, 2.157, 1.483, 1.086, 0.805, 0.555];
 
+/// The map at a height as a sum: the weight of the map itself, and of two of its continuations by their numbers.
+///
+/// Between the heights that are kept it is linear. Below the map, where continuation has no bound, it falls as much as it rises above:
+/// the first term in the height.
+pub(crate) fn at_height(height_m: f64) -> (f64, [(usize, f64); 2]) {
+    let last = HEIGHTS_M.len() - 1;
+    let height = height_m.abs().min(HEIGHTS_M[last]);
+    let upper = HEIGHTS_M.iter().position(|h| *h >= height).unwrap_or(last);
+    let low = if upper == 0 { 0.0 } else { HEIGHTS_M[upper - 1] };
+    let part = (height - low) / (HEIGHTS_M[upper] - low);
+    let (own, below) = if upper == 0 { (1.0 - part, 0.0) } else { (0.0, 1.0 - part) };
+    let sum = [(upper.saturating_sub(1), below), (upper, part)];
+    if height_m < 0.0 { (2.0 - own, sum.map(|(i, w)| (i, -w))) } else { (own, sum) }
+}
+
 /// Passes of a running mean that make a normal kernel (central limit theorem).
 const PASSES: usize = 3;
 

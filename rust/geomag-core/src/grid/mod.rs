@@ -7,7 +7,7 @@ mod sample;
 
 pub use axis::Axis;
 pub(crate) use axis::split_position;
-pub(crate) use continued::HEIGHTS_M;
+pub(crate) use continued::{HEIGHTS_M, at_height};
 pub use nodes::{GridValues, MapHeight, MapSigma};
 pub use sample::Interpolation;
 

@@ -24,7 +24,8 @@ use std::ops::Range;
 use super::model::{LEVELS, Level};
 use super::nuisance::Shape;
 use super::patch::{
-    ACROSS, BEND, Cells, DISTANCE, Patch, Place, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP, VALUE, VARIANCE,
+    ACROSS, BEND, Cells, DISTANCE, LIFT, Patch, Place, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP, VALUE,
+    VARIANCE,
 };
 pub(super) use closely::{Detail, detail};
 use integral::{Tails, nuisances, one_bias, weigh};
@@ -62,6 +63,8 @@ pub(super) struct Setup<'a> {
     pub sensor_variance: f32,
     /// Whether any level is about another surface than the bilinear one.
     pub cubic: bool,
+    /// Whether any of the shapes is the map's change with height.
+    pub lifts: bool,
     /// What the map may do between its nodes, in units of its bend, in the reach of a bound that stands for all levels.
     pub cover: f32,
     pub levels: &'a [Level],
@@ -130,6 +133,8 @@ struct Row {
     residual: Lane,
     curve: Lane,
     spline: Lane,
+    /// Change with height, per standard deviation of it.
+    lift: Lane,
     /// From the surface of the level at hand.
     error: Lane,
     /// Square of what the map cannot say between its nodes: the most of it, and the least within the cell of a bound.
@@ -150,6 +155,7 @@ const EMPTY: Row = Row {
     residual: [0.0; LANES],
     curve: [0.0; LANES],
     spline: [0.0; LANES],
+    lift: [0.0; LANES],
     error: [0.0; LANES],
     between: [0.0; LANES],
     least_between: [0.0; LANES],
@@ -277,6 +283,12 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
             }
         } else {
             (row.curve, row.spline) = ([0.0; LANES], [0.0; LANES]);
+        }
+        if setup.lifts {
+            let lift = setup.patch.read::<LIFT>(&cells, &mut spots).mixed(&spots);
+            for l in 0..LANES {
+                row.lift[l] = if known[l] > 0.0 { lift[l] * unit } else { 0.0 };
+            }
         }
         if setup.patch.even {
             for l in 0..LANES {

@@ -111,7 +111,8 @@ fn view<'a>(problem: &Problem<'_>, channel: &'a Prepared, offset: [f64; 2], step
     let merit = |v: usize| scores.log_likelihood[v][0] + levels[v].log_prior;
     let level = (0..levels.len()).fold(0, |a, b| if merit(b) > merit(a) { b } else { a });
     let (shapes, narrowed) = (problem.nuisance.shapes.clone(), problem.nuisance.narrowed.clone());
-    View { channel, level, node, shapes, narrowed, patch: Arc::clone(&channel.patch) }
+    let patch = Arc::clone(channel.patch_at(&problem.nuisance.nodes[node]));
+    View { channel, level, node, shapes, narrowed, patch }
 }
 
 /// The same with one effect more; `None` where the effect says nothing to this channel.
@@ -122,7 +123,7 @@ fn with_effect<'a>(problem: &Problem<'_>, told: &View<'a>, effect: &Alternative,
     narrowed.resize(shapes.len(), 1.0);
     let patch = match effect.height {
         None => Arc::clone(&told.patch),
-        Some(index) => Arc::new(told.patch.lifted(problem.fields.get(c)?.as_grid()?, index)),
+        Some(index) => Arc::new(told.patch.lifted(problem.fields.get(c)?.as_grid()?, HEIGHTS_M[index], 0.0)),
     };
     Some(View { channel: told.channel, level: told.level, node: told.node, shapes, narrowed, patch })
 }
@@ -161,7 +162,7 @@ fn alternatives(problem: &Problem<'_>) -> Vec<Alternative> {
     let mut out = Vec::new();
     let cell_m = (problem.cell[0] * problem.scale_m[0] * problem.cell[1] * problem.scale_m[1]).sqrt();
     for (index, height_m) in HEIGHTS_M.iter().enumerate() {
-        if *height_m >= LEAST_HEIGHT_CELLS * cell_m {
+        if options.height_sigma_m == 0.0 && *height_m >= LEAST_HEIGHT_CELLS * cell_m {
             out.push(Alternative { effect: "height", height: Some(index), shapes: Vec::new() });
         }
     }
@@ -217,7 +218,7 @@ fn estimate(
     let added = |k: usize| -> f64 {
         let of = |(i, shape): (usize, &Shape)| match shape {
             Shape::Added(by) => theta(i) * f64::from(by[k]),
-            Shape::Moved(_) => 0.0,
+            Shape::Moved(_) | Shape::Lifted => 0.0,
         };
         view.shapes[before..].iter().enumerate().map(of).sum()
     };

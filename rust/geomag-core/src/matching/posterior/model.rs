@@ -54,6 +54,9 @@ const MOST_CANDIDATES: u64 = 100_000_000;
 /// Largest standard deviation of a drift: half the way round the Earth.
 const MOST_DRIFT_M: f64 = 2e7;
 
+/// Largest standard deviation of a height: twice that is the highest continuation that is kept.
+const MOST_HEIGHT_M: f64 = 600.0;
+
 /// Standard deviations of the error level over which residuals are checked, and the spread for that over the posterior's own:
 /// the posterior's is how most tracks fare, but one in twenty of a survey's is worse than three of it (docs/calibration-report.md),
 /// and most of these are matched rightly.
@@ -81,6 +84,8 @@ pub struct PosteriorOptions {
     pub leg_bias_sigma: f64,
     /// Standard deviation of what a slow random walk of the bias amounts to over the track, value units.
     pub bias_walk: f64,
+    /// Standard deviation of the height of the readings above the map, metres.
+    pub height_sigma_m: f64,
     /// Log evidence that an effect which was not told must gain over the model as told for a fix to be rejected; infinite for no
     /// such tests, `None` for the map's own threshold, or 6.
     pub misfit_threshold: Option<f64>,
@@ -118,6 +123,7 @@ impl PosteriorOptions {
             bias_sigma: None,
             leg_bias_sigma: 0.0,
             bias_walk: 0.0,
+            height_sigma_m: 0.0,
             misfit_threshold: None,
             drift_sigma_m: 0.0,
             heading_sigma_deg: 0.0,
@@ -164,6 +170,9 @@ impl PosteriorOptions {
         require_not_negative("position_sigma_m", self.position_sigma_m)?;
         require_not_negative("leg_bias_sigma", self.leg_bias_sigma)?;
         require_not_negative("bias_walk", self.bias_walk)?;
+        if require_not_negative("height_sigma_m", self.height_sigma_m)? > MOST_HEIGHT_M {
+            return Err(Error::invalid("height_sigma_m", format!("at most {MOST_HEIGHT_M}"), self.height_sigma_m));
+        }
         if self.misfit_threshold.is_some_and(f64::is_nan) {
             return Err(Error::invalid("misfit_threshold", "a number, infinite for no tests", f64::NAN));
         }

@@ -35,6 +35,8 @@ pub(super) enum Shape {
     Moved(Vec<[f32; 2]>),
     /// Adds to the readings, value units.
     Added(Vec<f32>),
+    /// Lifts all of them: what the map changes by with height.
+    Lifted,
 }
 
 impl Shape {
@@ -42,7 +44,7 @@ impl Shape {
     fn lever_m(&self) -> f64 {
         match self {
             Self::Moved(by) => by.iter().map(|[e, n]| f64::from(e.hypot(*n))).fold(0.0, f64::max),
-            Self::Added(_) => 0.0,
+            Self::Added(_) | Self::Lifted => 0.0,
         }
     }
 
@@ -50,6 +52,7 @@ impl Shape {
         match self {
             Self::Moved(by) => by.iter_mut().flatten().for_each(|v| *v *= factor),
             Self::Added(by) => by.iter_mut().for_each(|v| *v *= factor),
+            Self::Lifted => {}
         }
     }
 }
@@ -58,6 +61,11 @@ impl Shape {
 const TURN_DEG: f64 = 20.0;
 /// Most legs with a bias of their own; what follows them shares that of the last.
 pub(super) const LEGS: usize = 6;
+
+/// The prior of a height as a sum of narrow normal laws: their means and what they weigh, in standard deviations of the prior, the
+/// likeliest first; and their own standard deviation.
+pub(super) const HEIGHTS: [f64; 5] = [0.0, 0.8, -0.8, 1.6, -1.6];
+pub(super) const HEIGHT_NARROWED: f64 = 0.5;
 
 /// Which straight leg every sample belongs to, of positions `[east, north]` in metres; the numbers begin at 0.
 ///
@@ -115,6 +123,8 @@ pub(super) struct Node {
     pub at: Vec<f64>,
     /// By how much each sample is moved, metres `[east, north]`; empty where by nothing.
     pub moved_m: Vec<[f64; 2]>,
+    /// Number of its height in [`HEIGHTS`].
+    pub height: usize,
     /// Logarithm of its share of the prior.
     pub log_weight: f64,
 }
@@ -175,7 +185,7 @@ impl Nuisance {
             shapes.extend(walk_shapes(age, options.bias_walk));
         }
         parameters.resize(shapes.len(), Parameter { kind: Kind::Reading, sigma: 1.0 });
-        let node = Node { at: vec![0.0; parameters.len()], moved_m: Vec::new(), log_weight: 0.0 };
+        let node = Node { at: vec![0.0; parameters.len()], moved_m: Vec::new(), height: 0, log_weight: 0.0 };
         Self { narrowed: vec![1.0; shapes.len()], shapes, nodes: vec![node], parameters }
     }
 
@@ -220,6 +230,29 @@ impl Nuisance {
         // The likeliest first.
         nodes.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
         self.nodes = nodes;
+        self
+    }
+
+    /// Every node at every height, about which the map is linear in the height.
+    #[must_use]
+    pub fn at_heights(mut self) -> Self {
+        let log = |z: f64| -0.5 * z * z / (1.0 - HEIGHT_NARROWED * HEIGHT_NARROWED);
+        let total = HEIGHTS.iter().map(|z| log(*z).exp()).sum::<f64>().ln();
+        let at_height = |node: &Node, (height, z): (usize, &f64)| Node {
+            height,
+            log_weight: node.log_weight + log(*z) - total,
+            ..node.clone()
+        };
+        self.nodes = (self.nodes.iter())
+            .flat_map(|node| HEIGHTS.iter().enumerate().map(move |height| at_height(node, height)))
+            .collect();
+        self.nodes.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
+        self.shapes.push(Shape::Lifted);
+        self.narrowed.push(HEIGHT_NARROWED);
+        self.parameters.push(Parameter { kind: Kind::Reading, sigma: 1.0 });
+        for node in &mut self.nodes {
+            node.at.push(0.0);
+        }
         self
     }
 
@@ -359,7 +392,7 @@ mod tests {
         let whole = Nuisance::new(&options, &away, &age);
         let shape = |i: usize, k: usize, d: usize| match &whole.shapes[i] {
             Shape::Moved(by) => f64::from(by[k][d]),
-            Shape::Added(_) => 0.0,
+            Shape::Added(_) | Shape::Lifted => 0.0,
         };
         let divided = whole.clone().divided(20.0, &away, &age);
         assert!(divided.nodes.len() > 20 && divided.nodes.len() as f64 <= NODES);

@@ -3,7 +3,7 @@
 use super::kernel::LANES;
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::grid::{GridMap, MapSigma};
+use crate::grid::{GridMap, MapSigma, at_height};
 use crate::map_error::DistanceLayer;
 
 /// Where nothing is known of a map's error, it is taken to be displaced by this many cells.
@@ -31,7 +31,9 @@ pub(super) const TWIST: usize = 6;
 pub(super) const SPLINE_ACROSS: usize = 7;
 pub(super) const SPLINE_UP: usize = 8;
 pub(super) const SPLINE_TWIST: usize = 9;
-const PLANES: usize = 10;
+/// Half of what the values change by from one side of a height to the other.
+pub(super) const LIFT: usize = 10;
+const PLANES: usize = 11;
 /// Nodes beyond what a search can touch: over each of them a spline forgets three quarters of what lies beyond.
 const MARGIN_CELLS: i64 = 8;
 /// A window of the map, a plane a quantity.
@@ -306,22 +308,33 @@ impl Patch {
         Ok(patch)
     }
 
-    /// The same window of the map continued upward to one of [`HEIGHTS_M`](crate::grid::HEIGHTS_M).
-    pub fn lifted(&self, grid: &GridMap, height: usize) -> Self {
-        let continued = grid.continued(height);
+    /// The same window of the map at a height above it, and how it changes over `about_m` on either side of that.
+    pub fn lifted(&self, grid: &GridMap, height_m: f64, about_m: f64) -> Self {
         let mut lifted = self.clone();
-        let columns = grid.x().len();
-        for r in 0..self.rows {
-            let from = (self.first[1] as usize + r) * columns + self.first[0] as usize;
-            if let Some(row) = continued.get(from..from + self.columns) {
-                let to = &mut lifted.planes[VALUE][r * self.columns..(r + 1) * self.columns];
-                for (to, (v, told)) in to.iter_mut().zip(row.iter().zip(&self.planes[VALUE][r * self.columns..])) {
-                    *to = if told.is_nan() { f32::NAN } else { *v };
-                }
-            }
+        lifted.planes[VALUE] = self.at_height(grid, height_m);
+        if about_m > 0.0 {
+            let (below, above) = (self.at_height(grid, height_m - about_m), self.at_height(grid, height_m + about_m));
+            lifted.planes[LIFT] = above.iter().zip(&below).map(|(a, b)| finite_or_zero(0.5 * (a - b))).collect();
         }
         lifted.fill_bends();
         lifted
+    }
+
+    /// The values of the window at a height.
+    fn at_height(&self, grid: &GridMap, height_m: f64) -> Vec<f32> {
+        let (own, parts) = at_height(height_m);
+        let mut out: Vec<f32> = self.planes[VALUE].iter().map(|v| own as f32 * v).collect();
+        let map_columns = grid.x().len();
+        for (number, weight) in parts.into_iter().filter(|(_, weight)| *weight != 0.0) {
+            let continued = grid.continued(number);
+            for (r, line) in out.chunks_exact_mut(self.columns).enumerate() {
+                let from = (self.first[1] as usize + r) * map_columns + self.first[0] as usize;
+                for (v, c) in line.iter_mut().zip(continued.get(from..).unwrap_or_default()) {
+                    *v += weight as f32 * c;
+                }
+            }
+        }
+        out
     }
 
     /// Root mean square of the largest second difference at a node, value units.
@@ -334,7 +347,7 @@ impl Patch {
     /// which continue the map as a parabola; zero beside holes.
     fn fill_bends(&mut self) {
         let (columns, rows) = (self.columns, self.rows);
-        let [values, _, _, bends, across, up, twist, spline_across, spline_up, spline_twist] = &mut self.planes;
+        let [values, _, _, bends, across, up, twist, spline_across, spline_up, spline_twist, _] = &mut self.planes;
         let along_x = |plane: &[f32], r: usize, c: usize| {
             if columns < 3 {
                 return 0.0;

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
 use super::model::{Channel, Interpolant, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
-use super::nuisance::{Node, Nuisance, legs, reach_m};
+use super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -94,6 +94,8 @@ pub(super) struct Problem<'a> {
 /// One channel, made ready.
 pub(super) struct Prepared {
     pub patch: Arc<Patch>,
+    /// The same at the heights of the nuisance's nodes, where the height is uncertain.
+    lifted: Vec<Arc<Patch>>,
     /// Indicated positions at every node of the nuisance parameters, in cells of the patch: `places[node][sample]`.
     places: Vec<Vec<Place>>,
     /// Indicated positions, cells of the patch.
@@ -225,11 +227,25 @@ impl<'a> Problem<'a> {
             let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
             let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
             let places = vec![indicated.iter().copied().map(Place::new).collect()];
-            prepared.push(Prepared { patch, places, indicated, values, noise, cell_m, unit });
+            prepared.push(Prepared { patch, lifted: Vec::new(), places, indicated, values, noise, cell_m, unit });
         }
-        if !nuisance.shapes.is_empty() {
+        if options.height_sigma_m > 0.0 {
+            for (channel, of) in prepared.iter_mut().zip(channels) {
+                let Some(grid) = of.field.as_grid() else {
+                    let needed = "0 for a field that is no grid: only grids are continued";
+                    return Err(Error::invalid("height_sigma_m", needed, options.height_sigma_m));
+                };
+                let sigma = options.height_sigma_m;
+                let at = |z: &f64| Arc::new(channel.patch.lifted(grid, z * sigma, HEIGHT_NARROWED * sigma));
+                channel.lifted = HEIGHTS.iter().map(at).collect();
+            }
+        }
+        if !nuisance.shapes.is_empty() || options.height_sigma_m > 0.0 {
             let linear_m = prepared.iter().map(Prepared::linear_m).fold(f64::INFINITY, f64::min);
             nuisance = nuisance.divided(linear_m, &away, &age);
+            if options.height_sigma_m > 0.0 {
+                nuisance = nuisance.at_heights();
+            }
             for channel in &mut prepared {
                 channel.move_to(&nuisance);
             }
@@ -258,7 +274,7 @@ impl<'a> Problem<'a> {
         // The lattice step is the width of a uniform law.
         let blur = |d: usize| ((step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter) as f32;
         Setup {
-            patch: &channel.patch,
+            patch: channel.patch_at(&self.nuisance.nodes[node]),
             places: &channel.places[node],
             values: &channel.values,
             per_unit: (1.0 / channel.unit) as f32,
@@ -267,6 +283,7 @@ impl<'a> Problem<'a> {
             blur_m2: [blur(0), blur(1)],
             sensor_variance: channel.sensor_variance() as f32,
             cubic: channel.noise.levels.iter().any(|l| l.surface != Interpolant::Bilinear),
+            lifts: !channel.lifted.is_empty(),
             cover: 0.0,
             levels: &channel.noise.levels,
             bias_sigma: bias_prior(self.options.bias_sigma, channel.unit),
@@ -482,6 +499,11 @@ impl<'a> Problem<'a> {
 }
 
 impl Prepared {
+    /// The map at the height of a node.
+    pub fn patch_at(&self, node: &Node) -> &Arc<Patch> {
+        self.lifted.get(node.height).unwrap_or(&self.patch)
+    }
+
     /// Mean square of standard deviations in value units, kernel units squared.
     fn mean_variance(&self, sigma: &[f64]) -> f64 {
         sigma.iter().map(|s| (s / self.unit).powi(2)).sum::<f64>() / sigma.len().max(1) as f64

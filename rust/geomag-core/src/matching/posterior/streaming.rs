@@ -421,6 +421,9 @@ impl PosteriorMatcher {
         let (per_x, per_y) = (1.0 / (cell[0] * scale_m[0]), 1.0 / (cell[1] * scale_m[1]));
         let (half_x, half_y) = (half_x + self.state.moved_m * per_x, half_y + self.state.moved_m * per_y);
         let between = if noise.levels.iter().any(|l| l.between > 0.0) { BETWEEN } else { 0.0 };
+        // What a bias may step and walk by, and what a height may change: over it the map changes about as much as along it.
+        let untold = GATE * o.leg_bias_sigma.hypot(o.bias_walk);
+        let lift_cells = 3.0 * o.height_sigma_m * per_x.max(per_y);
         let bias_reach = match o.bias_sigma {
             None => f64::INFINITY,
             Some(s) => 4.0 * s,
@@ -440,7 +443,9 @@ impl PosteriorMatcher {
             let reach = GATE * own.sqrt()
                 + half_x * gx.abs()
                 + half_y * gy.abs()
-                + (between + half_x.max(half_y).min(1.0)) * f64::from(sample.bend);
+                + (between + half_x.max(half_y).min(1.0)) * f64::from(sample.bend)
+                + untold
+                + lift_cells * (gx.hypot(gy) + f64::from(sample.bend));
             let residual = value - f64::from(sample.value);
             c.take([residual - reach, residual + reach], bias_reach);
             c.misses <= allowed

@@ -193,6 +193,7 @@ pub(super) fn derivatives<const M: usize>(setup: &Setup<'_>, row: &Row, k: usize
                 }
             }
             Shape::Added(by) => *h = [by[k] * setup.per_unit; LANES],
+            Shape::Lifted => *h = row.lift,
         }
     }
 }
