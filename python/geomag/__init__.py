@@ -47,7 +47,10 @@ from geomag._geomag import (
     Iema,
     IemaStep,
     InsFeedback,
+    InsModel,
     LocalFrame,
+    NavigationStep,
+    Navigator,
     NavigatorStep,
     PosteriorMatcher,
     PosteriorStep,
@@ -69,6 +72,7 @@ from geomag._geomag import (
     predict_many,
     tune_sequence,
 )
+from geomag._navigation import Navigation, navigate
 from geomag._sequence import ChosenSamples, delta_modulation
 from geomag._versions import show_versions
 from geomag.io import read_grid, read_track
@@ -90,10 +94,14 @@ __all__ = [
     "Iema",
     "IemaStep",
     "InsFeedback",
+    "InsModel",
     "InvalidInputError",
     "LocalFrame",
     "MissingDependencyError",
     "MissingFileError",
+    "Navigation",
+    "NavigationStep",
+    "Navigator",
     "NavigatorStep",
     "NotFiniteError",
     "NotPositiveDefiniteError",
@@ -122,6 +130,7 @@ __all__ = [
     "match_grid",
     "match_posterior",
     "match_posterior_many",
+    "navigate",
     "predict_many",
     "read_grid",
     "read_track",

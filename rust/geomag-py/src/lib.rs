@@ -32,6 +32,7 @@ mod ins_feedback;
 mod kalman;
 mod lock;
 mod long_call;
+mod map_navigator;
 mod navigator;
 mod posterior;
 mod sequence;
@@ -64,6 +65,10 @@ mod _geomag {
     use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
     #[pymodule_export]
     use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
+    #[pymodule_export]
+    use crate::map_navigator::{
+        PyInsModel, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,
+    };
     #[pymodule_export]
     use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
     #[pymodule_export]

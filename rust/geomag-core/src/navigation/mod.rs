@@ -2,4 +2,5 @@
 
 pub mod field_navigator;
 pub mod ins_feedback;
+pub mod navigator;
 pub mod sensing;

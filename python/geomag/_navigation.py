@@ -1,0 +1,241 @@
+"""Whole flights: an INS, readings of the field and a map of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from geomag._errors import ShapeError
+from geomag._geomag import GridMap, HarmonicMap, InsModel, _displacements_m, _navigate, _radii_m
+from geomag._optional import require
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import ArrayLike, NDArray
+
+Progress = bool | Callable[[int, int], object] | None
+
+#: Start of a flight that a summary leaves out, seconds: the filter settles.
+SETTLING_S = 600.0
+#: Gaussian 99 % radii within which 99 % of the errors are declared to be.
+DECLARED = 1.4
+
+
+@dataclass(frozen=True, repr=False)
+class Navigation:
+    """A navigated flight, one entry a step.
+
+    Attributes
+    ----------
+    time_s : array (n,)
+        As given.
+    x, y : array (n,)
+        Corrected place, map units.
+    covariance_m2 : array (n, 2, 2)
+        Covariance of the place as it is to be believed, square metres, east-north.
+    covariance_filter_m2 : array (n, 2, 2)
+        The filter's own, before the running NIS widens it.
+    protection_level_m : array (n,)
+        Radius that the error exceeds with probability `integrity_risk`, metres.
+    status, reason, outcome : array (n,) of str
+        `acquiring`, `tracking`, `coasting` or `lost`; why; what became of the readings (`waiting`, `updated`, `downweighted`,
+        `off_map`).
+    velocity_error_m_s : array (n, 2)
+        Indicated minus true velocity as estimated, m/s (east, north).
+    heading_error_deg, bias : array (n,)
+        Error of the attitude about the vertical, degrees, and of the sensor, map's unit.
+    nis, running_nis : array (n,)
+        Normalised innovation squared (NaN where no measurement was taken) and its running mean, 1 where the covariance is right.
+    last_fix, resets : array (n,)
+        Time of the newest fix used (NaN before any), seconds; resets so far.
+    inputs : str
+        `full`, `velocity` (the heading is the course) or `positions` (a reduced model).
+    """
+
+    time_s: NDArray[np.float64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    covariance_m2: NDArray[np.float64]
+    covariance_filter_m2: NDArray[np.float64]
+    protection_level_m: NDArray[np.float64]
+    status: NDArray[np.str_]
+    reason: NDArray[np.str_]
+    outcome: NDArray[np.str_]
+    velocity_error_m_s: NDArray[np.float64]
+    heading_error_deg: NDArray[np.float64]
+    bias: NDArray[np.float64]
+    nis: NDArray[np.float64]
+    running_nis: NDArray[np.float64]
+    last_fix: NDArray[np.float64]
+    resets: NDArray[np.int64]
+    inputs: str
+    geographic: bool
+
+    def __len__(self) -> int:
+        return int(self.time_s.size)
+
+    def __repr__(self) -> str:
+        sigma = np.sqrt(np.trace(self.covariance_m2[-1]))
+        shares = ", ".join(f"{name} {np.mean(self.status == name):.1%}" for name in np.unique(self.status))
+        hours = (self.time_s[-1] - self.time_s[0]) / 3600
+        return f"Navigation({len(self)} steps, {hours:.2f} h, {shares}, last sigma {sigma:.1f} m)"
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row a step; covariances as `variance_east_m2`, `covariance_m2`, `variance_north_m2`. Needs pandas."""
+        pandas = require("pandas", "io", "to_dataframe")
+        columns: dict[str, Any] = {}
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.name == "covariance_m2":
+                columns["variance_east_m2"] = value[:, 0, 0]
+                columns["covariance_m2"] = value[:, 0, 1]
+                columns["variance_north_m2"] = value[:, 1, 1]
+            elif one.name == "velocity_error_m_s":
+                columns["velocity_error_east_m_s"], columns["velocity_error_north_m_s"] = value.T
+            elif isinstance(value, np.ndarray) and value.ndim == 1:
+                columns[one.name] = value
+        return pandas.DataFrame(columns)
+
+    def error_m(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        """Corrected minus true place, metres, (n, 2) east, north; `x`, `y` (n,) is the truth in map units."""
+        true = [np.asarray(v, dtype=float) for v in (x, y)]
+        for name, value in zip("xy", true, strict=True):
+            if value.shape != self.x.shape:
+                raise ShapeError(f"truth {name}: needed shape {self.x.shape} as the flight, got {value.shape}")
+        return _displacements_m(self.geographic, true[0], true[1], self.x, self.y)
+
+    def summary(
+        self, truth: tuple[ArrayLike, ArrayLike] | None = None, *, after_s: float = SETTLING_S
+    ) -> dict[str, float]:
+        """What became of the flight, in a few numbers.
+
+        Parameters
+        ----------
+        truth : (x, y), arrays of shape (n,)
+            True places, map units; without them only what the flight says of itself.
+        after_s : float
+            Time after the start that is not counted, seconds.
+
+        Returns
+        -------
+        dict
+            Shares of the time in each status, median `protection_level_m`, `declared_rms_m`; with a truth `drms_m`, `median_m`, `p95_m`, `max_m`,
+            `nees` (mean of e' P^-1 e, 2 is right), `within_99` (share inside the Gaussian 99 % radius of the reported covariance),
+            `within_declared` (inside 1.4 times it), `beyond_protection` (share beyond the protection level).
+        """
+        kept = self.time_s >= self.time_s[0] + after_s
+        if not kept.any():
+            kept[:] = True
+        covariance = self.covariance_m2[kept]
+        out = {
+            f"share_{name}": float(np.mean(self.status[kept] == name))
+            for name in ("acquiring", "tracking", "coasting", "lost")
+        }
+        out["protection_level_m"] = float(np.median(self.protection_level_m[kept]))
+        out["declared_rms_m"] = float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
+        if truth is None:
+            return out
+        error = self.error_m(*truth)[kept]
+        distance = np.hypot(*error.T)
+        radius = _radii_m(covariance, 0.99)
+        out["drms_m"] = float(np.sqrt(np.mean(distance**2)))
+        out["median_m"] = float(np.median(distance))
+        out["p95_m"] = float(np.quantile(distance, 0.95))
+        out["max_m"] = float(distance.max())
+        solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
+        out["nees"] = float(np.mean(np.sum(error * solved, axis=1)))
+        out["within_99"] = float(np.mean(distance <= radius))
+        out["within_declared"] = float(np.mean(distance <= DECLARED * radius))
+        out["beyond_protection"] = float(np.mean(distance > self.protection_level_m[kept]))
+        return out
+
+
+def navigate(
+    grid: GridMap | HarmonicMap,
+    time_s: ArrayLike,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    velocity_m_s: ArrayLike | None = None,
+    heading_deg: ArrayLike | None = None,
+    readings: ArrayLike | None = None,
+    ins: InsModel | None = None,
+    position_sigma_m: float | None = None,
+    progress: Progress = None,
+    **options: Any,
+) -> Navigation:
+    """Navigate through a whole log: what an INS indicated, corrected by readings of the field.
+
+    For post-flight analysis and for trying a map, an INS or a route. The positions are those that a `Navigator` would have answered step
+    by step. Not for a log without an INS: see `FieldNavigator`.
+
+    Parameters
+    ----------
+    grid : GridMap or HarmonicMap
+        The map; its sigma and error model (see `geomag.survey`) are what the covariance rests on.
+    time_s : array (n,)
+        Seconds, not running backwards.
+    x, y : array (n,)
+        Indicated places, map units.
+    velocity_m_s : array (n, 2), optional
+        Indicated velocity east and north; the difference of positions without it.
+    heading_deg : array (n,), optional
+        Indicated heading, degrees clockwise from north; the course without it.
+    readings : array (n,), optional
+        Measured values, map's unit, NaN where there is none; the INS alone without it.
+    ins : InsModel, optional
+        Grade of the INS; `InsModel.navigation()` if not given.
+    position_sigma_m : float, optional
+        Standard deviation of the first indicated place on each axis; 100 m if not given.
+    progress : bool or callable, optional
+        True for a bar, or a callable ``(done, total)``.
+    **options
+        As for `Navigator`.
+
+    Returns
+    -------
+    Navigation
+        Arrays of corrected places, covariances, protection levels, statuses and more.
+
+    Raises
+    ------
+    InvalidInputError, NotFiniteError, ShapeError, TooFewSamplesError
+
+    Notes
+    -----
+    See `Navigator`. The interpreter is released; Ctrl-C is heard.
+
+    Examples
+    --------
+    >>> import numpy as np, geomag
+    >>> x = y = np.arange(0.0, 20e3, 100.0)
+    >>> grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] + 80 * np.cos(y / 700)[:, None], x, y, sigma=0.0)
+    >>> time_s = np.arange(200.0)
+    >>> true_x, true_y = 2000 + 70 * time_s, np.full(200, 8000.0)
+    >>> flight = geomag.navigate(
+    ...     grid, time_s, true_x + 80, true_y - 60, velocity_m_s=np.tile([70.0, 0.0], (200, 1)),
+    ...     heading_deg=np.full(200, 90.0), readings=grid.sample(true_x, true_y), ins=geomag.InsModel.navigation(),
+    ... )
+    >>> str(flight.status[-1]), flight.summary((true_x, true_y), after_s=60)["beyond_protection"]
+    ('tracking', 0.0)
+    """
+    columns = _navigate(
+        grid,
+        time_s,
+        x,
+        y,
+        velocity_m_s=velocity_m_s,
+        heading_deg=heading_deg,
+        readings=readings,
+        ins=ins,
+        position_sigma_m=position_sigma_m,
+        progress=progress,
+        **options,
+    )
+    for name in ("status", "reason", "outcome"):
+        columns[name] = np.array(columns[name])
+    columns["resets"] = columns["resets"].astype(np.int64)
+    return Navigation(time_s=np.array(time_s, dtype=float).reshape(-1), **columns)

@@ -1,0 +1,197 @@
+//! The Kalman filter itself: a mean and a covariance of any number of states, of which all but the first few only decay.
+
+use serde::{Deserialize, Serialize};
+
+use super::motion::{COUPLED, INS_STATES, Rows};
+
+/// Room for a row: a multiple of the widest vector.
+fn padded(states: usize) -> usize {
+    states.div_ceil(8) * 8
+}
+
+/// Mean and covariance of the errors; the covariance is symmetric, updated in Joseph's form.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Filter {
+    states: usize,
+    /// Padded with zeros, as the rows of the covariance are.
+    mean: Vec<f64>,
+    /// Row-major, rows padded.
+    covariance: Vec<f64>,
+}
+
+/// What is predicted of one number that is measured.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Predicted {
+    /// Variance of the prediction alone, H P H'.
+    pub variance: f64,
+}
+
+/// Buffers that a step needs, kept so that no step allocates.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Scratch {
+    product: Vec<f64>,
+    gain: Vec<f64>,
+    /// P H' of the newest measurement.
+    cross: Vec<f64>,
+}
+
+/// y += a x.
+#[inline]
+fn add_scaled(y: &mut [f64], a: f64, x: &[f64]) {
+    for (y, x) in y.chunks_exact_mut(8).zip(x.chunks_exact(8)) {
+        for k in 0..8 {
+            y[k] += a * x[k];
+        }
+    }
+}
+
+impl Filter {
+    /// Zero mean and these variances.
+    pub fn new(variances: &[f64]) -> Self {
+        let states = variances.len();
+        let stride = padded(states);
+        let mut covariance = vec![0.0; states * stride];
+        for (i, v) in variances.iter().enumerate() {
+            covariance[i * stride + i] = *v;
+        }
+        Self { states, mean: vec![0.0; stride], covariance }
+    }
+
+    /// Whether saved numbers make a filter of so many states.
+    pub fn is_whole(&self, states: usize) -> bool {
+        let stride = padded(states);
+        self.states == states
+            && self.mean.len() == stride
+            && self.covariance.len() == states * stride
+            && self.mean.iter().chain(&self.covariance).all(|v| v.is_finite())
+            && (0..states).all(|i| self.at(i, i) >= 0.0)
+    }
+
+    pub fn len(&self) -> usize {
+        self.states
+    }
+
+    pub fn mean(&self) -> &[f64] {
+        &self.mean[..self.states]
+    }
+
+    pub fn mean_mut(&mut self) -> &mut [f64] {
+        &mut self.mean[..self.states]
+    }
+
+    /// Covariance of two states.
+    pub fn at(&self, i: usize, j: usize) -> f64 {
+        self.covariance[i * padded(self.states) + j]
+    }
+
+    /// Sets a covariance, both ways.
+    pub fn set(&mut self, i: usize, j: usize, value: f64) {
+        let stride = padded(self.states);
+        self.covariance[i * stride + j] = value;
+        self.covariance[j * stride + i] = value;
+    }
+
+    /// Makes a state independent of all others, with a variance of its own.
+    pub fn separate(&mut self, i: usize, variance: f64) {
+        for j in 0..self.states {
+            self.set(i, j, 0.0);
+        }
+        self.set(i, i, variance);
+    }
+
+    /// x <- Phi x, P <- Phi P Phi' + Q, with the coupled rows of Phi, a factor for every other state, and a diagonal Q.
+    pub fn predict(&mut self, phi: &Rows, factors: &[f64], noise: &[f64], scratch: &mut Scratch) {
+        let (n, stride) = (self.states, padded(self.states));
+        let product = &mut scratch.product;
+        product.clear();
+        product.resize(n * stride, 0.0);
+        let mut moved = [0.0; COUPLED];
+        for i in 0..COUPLED {
+            let row = &mut product[i * stride..(i + 1) * stride];
+            for k in 0..INS_STATES {
+                let a = phi[i][k];
+                if a != 0.0 {
+                    moved[i] += a * self.mean[k];
+                    add_scaled(row, a, &self.covariance[k * stride..(k + 1) * stride]);
+                }
+            }
+        }
+        self.mean[..COUPLED].copy_from_slice(&moved);
+        for i in COUPLED..n {
+            let factor = factors[i - COUPLED];
+            self.mean[i] *= factor;
+            add_scaled(
+                &mut product[i * stride..(i + 1) * stride],
+                factor,
+                &self.covariance[i * stride..(i + 1) * stride],
+            );
+        }
+        // From the right, upper half only.
+        for i in 0..n {
+            let row = &product[i * stride..(i + 1) * stride];
+            for j in i..n {
+                let value = if j < COUPLED {
+                    let mut sum = 0.0;
+                    for k in 0..INS_STATES {
+                        sum += row[k] * phi[j][k];
+                    }
+                    sum
+                } else {
+                    row[j] * factors[j - COUPLED]
+                };
+                self.covariance[i * stride + j] = value;
+                self.covariance[j * stride + i] = value;
+            }
+            self.covariance[i * stride + i] += noise[i];
+        }
+    }
+
+    /// H P H' and P H' (kept in `scratch`) of a measurement with few nonzero slopes, `(state, slope)`.
+    pub fn project(&self, slopes: &[(usize, f64)], scratch: &mut Scratch) -> Predicted {
+        let stride = padded(self.states);
+        let cross = &mut scratch.cross;
+        cross.clear();
+        cross.resize(stride, 0.0);
+        for &(k, h) in slopes {
+            add_scaled(cross, h, &self.covariance[k * stride..(k + 1) * stride]);
+        }
+        Predicted { variance: slopes.iter().map(|&(k, h)| h * cross[k]).sum::<f64>().max(0.0) }
+    }
+
+    /// Takes a number in after [`Filter::project`] with the same slopes: P <- (I - K H) P (I - K H)' + K R K', which stays positive.
+    pub fn update(
+        &mut self,
+        slopes: &[(usize, f64)],
+        predicted: Predicted,
+        innovation: f64,
+        noise: f64,
+        scratch: &mut Scratch,
+    ) {
+        let (n, stride) = (self.states, padded(self.states));
+        let total = predicted.variance + noise;
+        if !(total > 0.0) {
+            return;
+        }
+        let Scratch { gain, cross, .. } = scratch;
+        gain.clear();
+        gain.extend(cross.iter().map(|c| c / total));
+        add_scaled(&mut self.mean, innovation, gain);
+        // A = (I - K H) P, in place.
+        for i in 0..n {
+            add_scaled(&mut self.covariance[i * stride..(i + 1) * stride], -gain[i], cross);
+        }
+        // A H', then A (I - K H)' + K R K'.
+        for i in 0..n {
+            let row = &mut self.covariance[i * stride..(i + 1) * stride];
+            let left: f64 = slopes.iter().map(|&(k, h)| h * row[k]).sum();
+            add_scaled(row, noise * gain[i] - left, gain);
+        }
+        for i in 0..n {
+            for j in 0..i {
+                let mean = 0.5 * (self.covariance[i * stride + j] + self.covariance[j * stride + i]);
+                self.covariance[i * stride + j] = mean;
+                self.covariance[j * stride + i] = mean;
+            }
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! What is known of an inertial navigation system: how large its errors are, and how they grow.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Result, require_not_negative, require_positive};
+
+/// Standard gravity, metres a second squared.
+pub const GRAVITY_M_S2: f64 = 9.806_65;
+
+/// The grade of an INS: sensor biases (first-order Gauss-Markov), random walks, and errors after alignment.
+///
+/// ```
+/// use geomag_core::navigation::navigator::InsModel;
+/// assert_eq!(InsModel::navigation().gyro_bias_deg_h, 0.02);
+/// assert!(InsModel { gyro_bias_deg_h: -1.0, ..InsModel::tactical() }.validate().is_err());
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct InsModel {
+    /// Standard deviation of a gyro's bias, degrees an hour.
+    pub gyro_bias_deg_h: f64,
+    /// Time over which it changes, seconds.
+    pub gyro_time_constant_s: f64,
+    /// Angle random walk, degrees per square root of an hour.
+    pub gyro_walk_deg_sqrt_h: f64,
+    /// Standard deviation of an accelerometer's bias, millionths of standard gravity.
+    pub accelerometer_bias_ug: f64,
+    /// Time over which it changes, seconds.
+    pub accelerometer_time_constant_s: f64,
+    /// Velocity random walk, metres a second per square root of an hour.
+    pub velocity_walk_m_s_sqrt_h: f64,
+    /// Standard deviation of the velocity error at the start, each axis, metres a second.
+    pub velocity_sigma_m_s: f64,
+    /// Standard deviation of the tilts at the start, milliradians.
+    pub tilt_sigma_mrad: f64,
+    /// Standard deviation of the heading error at the start, milliradians.
+    pub heading_sigma_mrad: f64,
+}
+
+impl Default for InsModel {
+    fn default() -> Self {
+        Self::navigation()
+    }
+}
+
+impl InsModel {
+    /// An INS of navigation grade: about one nautical mile an hour unaided.
+    pub fn navigation() -> Self {
+        Self {
+            gyro_bias_deg_h: 0.02,
+            gyro_time_constant_s: 14_400.0,
+            gyro_walk_deg_sqrt_h: 0.003,
+            accelerometer_bias_ug: 50.0,
+            accelerometer_time_constant_s: 14_400.0,
+            velocity_walk_m_s_sqrt_h: 0.01,
+            velocity_sigma_m_s: 0.2,
+            tilt_sigma_mrad: 0.05,
+            heading_sigma_mrad: 1.0,
+        }
+    }
+
+    /// An INS of tactical grade: some tens of kilometres an hour unaided.
+    pub fn tactical() -> Self {
+        Self {
+            gyro_bias_deg_h: 1.0,
+            gyro_time_constant_s: 3600.0,
+            gyro_walk_deg_sqrt_h: 0.05,
+            accelerometer_bias_ug: 300.0,
+            accelerometer_time_constant_s: 3600.0,
+            velocity_walk_m_s_sqrt_h: 0.05,
+            velocity_sigma_m_s: 0.3,
+            tilt_sigma_mrad: 0.3,
+            heading_sigma_mrad: 4.0,
+        }
+    }
+
+    /// Checks the ranges of the numbers.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`](crate::error::Error::Invalid) naming the first out of range.
+    pub fn validate(&self) -> Result<()> {
+        for (name, value) in [
+            ("gyro_bias_deg_h", self.gyro_bias_deg_h),
+            ("gyro_walk_deg_sqrt_h", self.gyro_walk_deg_sqrt_h),
+            ("accelerometer_bias_ug", self.accelerometer_bias_ug),
+            ("velocity_walk_m_s_sqrt_h", self.velocity_walk_m_s_sqrt_h),
+            ("velocity_sigma_m_s", self.velocity_sigma_m_s),
+            ("tilt_sigma_mrad", self.tilt_sigma_mrad),
+            ("heading_sigma_mrad", self.heading_sigma_mrad),
+        ] {
+            require_not_negative(&format!("InsModel {name}"), value)?;
+        }
+        require_positive("InsModel gyro_time_constant_s", self.gyro_time_constant_s)?;
+        require_positive("InsModel accelerometer_time_constant_s", self.accelerometer_time_constant_s)?;
+        Ok(())
+    }
+
+    /// Standard deviation of a gyro's bias, radians a second.
+    pub(super) fn gyro_rad_s(&self) -> f64 {
+        self.gyro_bias_deg_h.to_radians() / 3600.0
+    }
+
+    /// Standard deviation of an accelerometer's bias, metres a second squared.
+    pub(super) fn accelerometer_m_s2(&self) -> f64 {
+        self.accelerometer_bias_ug * 1e-6 * GRAVITY_M_S2
+    }
+
+    /// Angle random walk squared, radians squared a second.
+    pub(super) fn angle_noise(&self) -> f64 {
+        (self.gyro_walk_deg_sqrt_h.to_radians() / 60.0).powi(2)
+    }
+
+    /// Velocity random walk squared, metres squared a second cubed.
+    pub(super) fn velocity_noise(&self) -> f64 {
+        (self.velocity_walk_m_s_sqrt_h / 60.0).powi(2)
+    }
+}

@@ -1,0 +1,128 @@
+//! What is asked of a navigator.
+
+use serde::{Deserialize, Serialize};
+
+use super::ins::InsModel;
+use super::integrity::widening;
+use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+
+/// Options of a [`Navigator`](super::Navigator). What the map's error model knows is taken from there.
+///
+/// ```
+/// use geomag_core::navigation::navigator::{InsModel, NavigatorOptions};
+/// let options = NavigatorOptions { ins: InsModel::tactical(), ..NavigatorOptions::new(300.0) };
+/// assert!(options.validate().is_ok());
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NavigatorOptions {
+    /// The INS whose output is corrected.
+    pub ins: InsModel,
+    /// True place at the first step as far as it is known, map units; `None` takes the first that is indicated.
+    pub start: Option<[f64; 2]>,
+    /// Covariance of that place, square metres, east-north.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Standard deviation of the white error of one reading, value units.
+    pub reading_sigma: f64,
+    /// Standard deviation of the sensor's constant error at the start, value units.
+    pub bias_sigma: f64,
+    /// Its random walk, value units per square root of a second. The level is information: a bias that is let walk fast
+    /// throws it away.
+    pub bias_walk: f64,
+    /// Stretch over which readings are gathered into one measurement, metres; `None` takes what the map's errors ask for, 0 takes
+    /// every reading by itself.
+    pub batch_m: Option<f64>,
+    /// Displacement of the map's features, in distances to the data; `None` takes what the map knows.
+    pub registration: Option<f64>,
+    /// Degrees of freedom of the Student-t law of a measurement; infinite for the normal law.
+    pub nu: f64,
+    /// Position sigma up to which the field is taken as straight enough to track, metres; `None` asks the map.
+    pub linear_m: Option<f64>,
+    /// Probability with which the error may exceed the protection level.
+    pub integrity_risk: f64,
+    /// Latitude of a map in projected metres, degrees: the Earth turns under it.
+    pub latitude_deg: f64,
+}
+
+impl NavigatorOptions {
+    /// Defaults for a start whose standard deviation on each axis is `position_sigma_m`.
+    pub fn new(position_sigma_m: f64) -> Self {
+        let variance = position_sigma_m * position_sigma_m;
+        Self {
+            ins: InsModel::navigation(),
+            start: None,
+            covariance_m2: [[variance, 0.0], [0.0, variance]],
+            reading_sigma: 1.0,
+            bias_sigma: 30.0,
+            bias_walk: 0.03,
+            batch_m: None,
+            registration: None,
+            nu: 3.0,
+            linear_m: None,
+            integrity_risk: 1e-3,
+            latitude_deg: 45.0,
+        }
+    }
+
+    /// Checks the ranges of all options.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`], [`Error::NotFinite`] or [`Error::NotPositiveDefinite`] naming the first out of range.
+    pub fn validate(&self) -> Result<()> {
+        self.ins.validate()?;
+        if let Some(start) = &self.start {
+            require_finite("start", start)?;
+        }
+        check_covariance(&self.covariance_m2)?;
+        for (name, value) in
+            [("reading_sigma", self.reading_sigma), ("bias_sigma", self.bias_sigma), ("bias_walk", self.bias_walk)]
+        {
+            require_not_negative(name, value)?;
+        }
+        if let Some(length) = self.batch_m {
+            require_not_negative("batch_m", length)?;
+        }
+        if let Some(share) = self.registration {
+            require_not_negative("registration", share)?;
+        }
+        if let Some(range) = self.linear_m {
+            require_positive("linear_m", range)?;
+        }
+        if !(self.nu > 0.0) {
+            return Err(Error::invalid("nu", "a number > 0", self.nu));
+        }
+        widening(self.integrity_risk)?;
+        if !(self.latitude_deg.abs() <= MOST_LATITUDE_DEG) {
+            let needed = format!("a latitude within {MOST_LATITUDE_DEG} degrees of the equator");
+            return Err(Error::invalid("latitude_deg", needed, self.latitude_deg));
+        }
+        Ok(())
+    }
+}
+
+/// Greatest latitude at which east and north still mean something to an INS of this kind.
+pub(super) const MOST_LATITUDE_DEG: f64 = 89.0;
+/// Greatest standard deviation of a position, metres: half the way round the Earth.
+const MOST_SIGMA_M: f64 = 2e7;
+
+/// Refuses what is no covariance of a position in square metres.
+///
+/// # Errors
+/// [`Error::NotFinite`], [`Error::Invalid`], [`Error::NotPositiveDefinite`].
+pub(super) fn check_covariance(c: &[[f64; 2]; 2]) -> Result<()> {
+    require_finite("covariance_m2", c.as_flattened())?;
+    let scale = c[0][0].abs().max(c[1][1].abs());
+    if scale > MOST_SIGMA_M * MOST_SIGMA_M {
+        return Err(Error::invalid(
+            "covariance_m2",
+            format!("standard deviations of at most {MOST_SIGMA_M} m"),
+            scale.sqrt(),
+        ));
+    }
+    if (c[0][1] - c[1][0]).abs() > 1e-9 * scale {
+        return Err(Error::invalid("covariance_m2", "a symmetric matrix", format!("{} and {}", c[0][1], c[1][0])));
+    }
+    if c[0][0] < 0.0 || c[1][1] < 0.0 || c[0][0] * c[1][1] - c[0][1] * c[1][0] < -1e-9 * scale * scale {
+        return Err(Error::NotPositiveDefinite { what: "covariance_m2".into(), detail: format!("{c:?}") });
+    }
+    Ok(())
+}
