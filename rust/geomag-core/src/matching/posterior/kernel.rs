@@ -21,7 +21,7 @@ mod integral;
 
 use std::ops::Range;
 
-use super::model::{LEVELS, Level};
+use super::model::{Interpolant, LEVELS, Level};
 use super::nuisance::Shape;
 use super::patch::{
     ACROSS, BEND, Cells, DISTANCE, LIFT, Patch, Place, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP, VALUE,
@@ -41,7 +41,7 @@ const FEW: usize = 2;
 const SOME: usize = 5;
 
 type Lane = [f32; LANES];
-type Wide = [f64; LANES];
+pub(super) type Wide = [f64; LANES];
 
 /// What the kernel needs to know beside the map.
 #[derive(Debug, Clone)]
@@ -61,8 +61,6 @@ pub(super) struct Setup<'a> {
     pub blur_m2: [f32; 2],
     /// In units squared.
     pub sensor_variance: f32,
-    /// Whether any level is about another surface than the bilinear one.
-    pub cubic: bool,
     /// Whether any of the shapes is the map's change with height.
     pub lifts: bool,
     /// What the map may do between its nodes, in units of its bend, in the reach of a bound that stands for all levels.
@@ -185,6 +183,35 @@ pub(super) fn score<const BOUND: bool>(
     pulp::Arch::new().dispatch(Block::<'_, '_, BOUND> { setup, offsets, levels, scratch })
 }
 
+/// Log-likelihoods of the same candidates (at most [`LANES`]; cells of the map) under one level for several setups that differ in their
+/// nuisance parameters only: the map is read once, and the parameters are sought less closely.
+pub(super) fn compare(setups: &[Setup<'_>], offsets: &[[f64; 2]], level: usize, scratch: &mut Scratch) -> Vec<Wide> {
+    pulp::Arch::new().dispatch(Comparison { setups, offsets, level, scratch })
+}
+
+struct Comparison<'a, 'b> {
+    setups: &'a [Setup<'b>],
+    offsets: &'a [[f64; 2]],
+    level: usize,
+    scratch: &'a mut Scratch,
+}
+
+impl pulp::WithSimd for Comparison<'_, '_> {
+    type Output = Vec<Wide>;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) -> Vec<Wide> {
+        let levels = self.level..self.level + 1;
+        if let Some(first) = self.setups.first() {
+            fill::<false>(first, self.offsets, &first.levels[levels.clone()], self.scratch);
+        }
+        let one = |setup: &Setup<'_>| {
+            evaluate::<false>(setup, levels.clone(), &WIDENING[1..3], self.scratch).log_likelihood[self.level]
+        };
+        self.setups.iter().map(one).collect()
+    }
+}
+
 struct Block<'a, 'b, const BOUND: bool> {
     setup: &'a Setup<'b>,
     offsets: &'a [[f64; 2]],
@@ -197,14 +224,17 @@ impl<const BOUND: bool> pulp::WithSimd for Block<'_, '_, BOUND> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _simd: S) -> Scores {
-        fill::<BOUND>(self.setup, self.offsets, self.scratch);
-        evaluate::<BOUND>(self.setup, self.levels, self.scratch)
+        fill::<BOUND>(self.setup, self.offsets, &self.setup.levels[self.levels.clone()], self.scratch);
+        evaluate::<BOUND>(self.setup, self.levels, &WIDENING, self.scratch)
     }
 }
 
 /// Samples the map along the track at every candidate.
 #[inline(always)]
-fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mut Scratch) {
+fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], levels: &[Level], scratch: &mut Scratch) {
+    // Under a bound that stands for all levels the bends in its reach stand for the curves.
+    let cubic = setup.cover == 0.0 && levels.iter().any(|l| l.surface != Interpolant::Bilinear);
+    let bent = BOUND || levels.iter().any(|l| l.between > 0.0);
     let n = setup.places.len();
     scratch.rows.resize(n, EMPTY);
     let unit = setup.per_unit;
@@ -213,14 +243,14 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
     let [half_x, half_y] = setup.half_cells;
     let half = half_x.max(half_y);
     // A surface that bends twice as much as the bilinear one does at its nodes.
-    let bends = if setup.cubic { 1.5 } else { 1.0 };
+    let bends = if cubic { 1.5 } else { 1.0 };
     let cells = Cells::new(offsets);
     let [even_variance, even_distance] = setup.patch.everywhere();
     for k in 0..n {
         let row = &mut scratch.rows[k];
         let mut spots = setup.patch.locate(setup.places[k], &cells);
         let values = setup.patch.read::<VALUE>(&cells, &mut spots);
-        let bend = setup.patch.read::<BEND>(&cells, &mut spots).mixed(&spots);
+        let bend = if bent { setup.patch.read::<BEND>(&cells, &mut spots).mixed(&spots) } else { [0.0; LANES] };
         let value = values.mixed(&spots);
         let [a, b, e, f] = values.0;
         let (u, v) = (spots.u, spots.v);
@@ -262,7 +292,7 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], scratch: &mu
         for l in 0..LANES {
             row.extra_variance[l] = if known[l] > 0.0 { extra_variance[l] } else { 1.0 };
         }
-        if setup.cubic {
+        if cubic {
             let across = setup.patch.read::<ACROSS>(&cells, &mut spots).mixed(&spots);
             let up = setup.patch.read::<UP>(&cells, &mut spots).mixed(&spots);
             let twist = setup.patch.read::<TWIST>(&cells, &mut spots).mixed(&spots);
@@ -322,7 +352,12 @@ fn off_node_within(t: f32, half: f32) -> (f32, f32) {
 }
 
 #[inline(always)]
-fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch: &mut Scratch) -> Scores {
+fn evaluate<const BOUND: bool>(
+    setup: &Setup<'_>,
+    levels: Range<usize>,
+    widening: &[f32],
+    scratch: &mut Scratch,
+) -> Scores {
     let n = setup.places.len();
     let (mut count, mut distance, mut map_variance) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     let mut between = [0.0; LANES];
@@ -348,9 +383,9 @@ fn evaluate<const BOUND: bool>(setup: &Setup<'_>, levels: Range<usize>, scratch:
         let level = &setup.levels[index];
         // A level that differs from the one before in its tails only has the same variances; the bias is nearly the same anyhow.
         let (mut lane, turns) = match weighed {
-            Some((before, lane)) if before.same_surface(level) => (lane, &WIDENING[WIDENING.len() - 1..]),
-            Some(_) => (weigh::<BOUND>(scratch, level), &WIDENING[1..]),
-            None => (weigh::<BOUND>(scratch, level), &WIDENING[..]),
+            Some((before, lane)) if before.same_surface(level) => (lane, &widening[widening.len() - 1..]),
+            Some(_) => (weigh::<BOUND>(scratch, level), &widening[1..]),
+            None => (weigh::<BOUND>(scratch, level), widening),
         };
         weighed = Some((*level, lane));
         if setup.shapes.is_empty() {

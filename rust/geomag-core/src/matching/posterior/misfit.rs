@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::kernel::{self, LANES, Scratch, Setup};
+use super::kernel::{self, LANES, Scratch, Setup, Wide};
 use super::nuisance::{Shape, leg_shapes, walk_shapes};
 use super::patch::Patch;
 use super::problem::{Prepared, Problem};
@@ -32,6 +32,8 @@ const LEAST_HEIGHT_CELLS: f64 = 0.25;
 /// Standard deviations of the priors: of legs and walk in standard deviations of the readings, of their scale, of the heading in
 /// degrees, of the drift in tolerances.
 const BIAS_SHARE: f64 = 0.5;
+/// And small ones, in standard deviations of a sample: a wide prior cannot see them.
+const SMALL_BIAS: f64 = 2.0;
 const READING_SCALE: f64 = 0.1;
 const HEADING_DEG: f64 = 2.0;
 const DRIFT_TOLERANCES: f64 = 1.0;
@@ -72,21 +74,31 @@ pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2]) -> Option<Misfi
         return None;
     }
     let (offsets, step) = lattice(problem, offset);
-    let told = problem.channels.iter().map(|c| view(problem, c, offset, step)).collect::<Vec<_>>();
-    let (evidence, _) = search(problem, &told, &offsets, step);
-    let found = alternatives(problem).into_par_iter().filter_map(|alternative| {
-        let views: Option<Vec<View<'_>>> =
-            told.iter().enumerate().map(|(c, view)| with_effect(problem, view, &alternative, c)).collect();
-        let views = views?;
-        let (other, best) = search(problem, &views, &offsets, step);
-        let gain = other - evidence;
-        (gain > threshold && best.is_some()).then(|| {
-            let at = best.map_or(offset, |b| offsets[b]);
-            let estimate = estimate(problem, &views[0], &told[0], &alternative, at, step);
-            Misfit { effect: alternative.effect.into(), estimate, log_evidence: gain }
-        })
-    });
-    found.reduce_with(|a, b| if b.log_evidence > a.log_evidence { b } else { a })
+    let told: Vec<View<'_>> = problem.channels.iter().map(|c| view(problem, c, offset, step)).collect();
+    // The model as told and the effects that leave the map as it is are looked at together; every height has a map of its own.
+    let none = Alternative { effect: "none", height: None, shapes: Vec::new() };
+    let (heights, others): (Vec<_>, Vec<_>) = alternatives(problem).into_iter().partition(|a| a.height.is_some());
+    let mut groups: Vec<Vec<Alternative>> = heights.into_iter().map(|a| vec![a]).collect();
+    groups.insert(0, std::iter::once(none).chain(others).collect());
+    let searched: Vec<Vec<Found>> =
+        groups.par_iter().map(|group| search(problem, &told, group, &offsets, step)).collect();
+    let evidence = searched.first()?.first()?.log_evidence;
+    let all = groups.iter().flatten().zip(searched.into_iter().flatten()).skip(1);
+    let (strongest, found) = all.reduce(|a, b| if b.1.log_evidence > a.1.log_evidence { b } else { a })?;
+    let gain = found.log_evidence - evidence;
+    if !(gain > threshold) {
+        return None;
+    }
+    let at = offsets[found.best?];
+    let with = with_effect(problem, told.first()?, strongest, 0)?;
+    let estimate = estimate(problem, &with, told.first()?, strongest, at, step);
+    Some(Misfit { effect: strongest.effect.into(), estimate, log_evidence: gain })
+}
+
+/// The evidence of a model over the whole search, and the offset at which it fits best.
+struct Found {
+    log_evidence: f64,
+    best: Option<usize>,
 }
 
 /// Offsets over the whole search, one of them the answer, and their step; map units.
@@ -128,32 +140,50 @@ fn with_effect<'a>(problem: &Problem<'_>, told: &View<'a>, effect: &Alternative,
     Some(View { channel: told.channel, level: told.level, node: told.node, shapes, narrowed, patch })
 }
 
-/// Logarithm of the evidence summed over these offsets, and which of them is the best.
-fn search(problem: &Problem<'_>, views: &[View<'_>], offsets: &[[f64; 2]], step: [f64; 2]) -> (f64, Option<usize>) {
-    let mut total = vec![0.0; offsets.len()];
-    for view in views {
-        let setup = view.setup(problem, step);
+/// Models on the same map, each over all these offsets; none where an effect says nothing to a channel.
+fn search(
+    problem: &Problem<'_>,
+    told: &[View<'_>],
+    group: &[Alternative],
+    offsets: &[[f64; 2]],
+    step: [f64; 2],
+) -> Vec<Found> {
+    let mut totals = vec![vec![0.0; offsets.len()]; group.len()];
+    for (c, view) in told.iter().enumerate() {
+        let views: Option<Vec<View<'_>>> = group.iter().map(|a| with_effect(problem, view, a, c)).collect();
+        let Some(views) = views else { return group.iter().map(|_| Found::NONE).collect() };
+        let setups: Vec<Setup<'_>> = views.iter().map(|v| v.setup(problem, step)).collect();
         let cells: Vec<[f64; 2]> = offsets.iter().map(|o| view.channel.cells(*o)).collect();
-        let scores: Vec<[f64; LANES]> = cells
+        let blocks: Vec<Vec<Wide>> = cells
             .par_chunks(LANES)
             .with_min_len(8)
-            .map_init(Scratch::default, |scratch, block| {
-                kernel::score::<false>(&setup, block, view.level..view.level + 1, scratch).log_likelihood[view.level]
-            })
+            .map_init(Scratch::default, |scratch, block| kernel::compare(&setups, block, view.level, scratch))
             .collect();
-        for (i, sum) in total.iter_mut().enumerate() {
-            *sum += TEMPER * scores[i / LANES][i % LANES];
+        for (i, block) in blocks.iter().enumerate() {
+            for (total, scores) in totals.iter_mut().zip(block) {
+                for (sum, score) in total[i * LANES..].iter_mut().zip(scores) {
+                    *sum += TEMPER * score;
+                }
+            }
         }
     }
-    let mut best: Option<usize> = None;
-    for (i, t) in total.iter().enumerate() {
-        if t.is_finite() && best.is_none_or(|b| *t > total[b]) {
-            best = Some(i);
+    totals.iter().map(|total| Found::of(total)).collect()
+}
+
+impl Found {
+    const NONE: Self = Self { log_evidence: f64::NEG_INFINITY, best: None };
+
+    fn of(total: &[f64]) -> Self {
+        let mut best: Option<usize> = None;
+        for (i, t) in total.iter().enumerate() {
+            if t.is_finite() && best.is_none_or(|b| *t > total[b]) {
+                best = Some(i);
+            }
         }
+        let Some(top) = best else { return Self::NONE };
+        let sum: f64 = total.iter().map(|t| (t - total[top]).exp()).filter(|p| p.is_finite()).sum();
+        Self { log_evidence: total[top] + sum.ln(), best }
     }
-    let top = best.map_or(f64::NEG_INFINITY, |b| total[b]);
-    let sum: f64 = total.iter().map(|t| (t - top).exp()).filter(|p| p.is_finite()).sum();
-    (top + sum.ln(), best)
 }
 
 /// The models with one effect that was not told.
@@ -173,6 +203,7 @@ fn alternatives(problem: &Problem<'_>) -> Vec<Alternative> {
     };
     if options.leg_bias_sigma == 0.0 && problem.legs.last().is_some_and(|l| *l > 0) {
         add("legs", &|c| leg_shapes(&problem.legs, BIAS_SHARE * spread(&c.values)));
+        add("legs", &|c| leg_shapes(&problem.legs, SMALL_BIAS * c.unit));
     }
     if options.bias_walk == 0.0 {
         add("bias_walk", &|c| walk_shapes(&problem.age, BIAS_SHARE * spread(&c.values)));

@@ -388,7 +388,26 @@ pub(super) fn bias_prior(sigma: Option<f64>, unit: f64) -> Option<f64> {
     }
 }
 
+/// Whether matching on this map looks at curved surfaces through its nodes: one that says its nodes are exact, or one to be read so.
+pub(super) fn wants_curves(field: &dyn Field, options: &PosteriorOptions) -> bool {
+    let Some(grid) = field.as_grid() else { return false };
+    let exact = matches!(grid.map_sigma(), Some(crate::grid::MapSigma::Constant(s)) if *s == 0.0);
+    exact || options.interpolation == Interpolation::Bicubic
+}
+
 impl Noise {
+    /// Takes all surfaces through the nodes for one where the readings cannot tell them apart: the one that was named, and what the
+    /// others differ by as its error.
+    pub fn with_one_surface(&mut self) {
+        let named = self.levels[0].surface;
+        self.levels.retain(|l| l.surface == named && l.between == 0.0);
+        let total = self.levels.iter().map(|l| l.log_prior.exp()).sum::<f64>().ln();
+        for level in &mut self.levels {
+            level.between = STATED_BETWEEN;
+            level.log_prior -= total;
+        }
+    }
+
     /// The levels over which residuals are checked: those of a spread to its far tail; else the worst, of which a track may be without being unlikely.
     pub fn checked(&self) -> Vec<Level> {
         if self.spread == 0.0 {

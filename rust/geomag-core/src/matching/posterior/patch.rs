@@ -52,6 +52,8 @@ pub(super) struct Patch {
     pub level: f64,
     /// Whether error variance and distance are the same at every node.
     pub even: bool,
+    /// Whether the curved surfaces through the nodes are laid out.
+    curved: bool,
 }
 
 /// One interpolated point.
@@ -127,21 +129,58 @@ impl Cells {
     }
 }
 
-/// Second differences D of a line to the second derivatives M of the cubic spline, M- + 4 M + M+ = 6 D; at both ends a parabola.
-fn spline_bends(line: &mut [f32]) {
-    let n = line.len();
+/// Second differences along x.
+fn second_differences_across(plane: &[f32], columns: usize) -> Vec<f32> {
+    let mut out = vec![0.0; plane.len()];
+    if columns < 3 {
+        return out;
+    }
+    for (line, out) in plane.chunks_exact(columns).zip(out.chunks_exact_mut(columns)) {
+        for (out, w) in out[1..].iter_mut().zip(line.windows(3)) {
+            *out = finite_or_zero(w[0] + w[2] - 2.0 * w[1]);
+        }
+        (out[0], out[columns - 1]) = (out[1], out[columns - 2]);
+    }
+    out
+}
+
+/// Second differences along y.
+fn second_differences_up(plane: &[f32], columns: usize) -> Vec<f32> {
+    let mut out = vec![0.0; plane.len()];
+    let n = plane.len();
+    if n < 3 * columns {
+        return out;
+    }
+    let (low, middle, high) = (&plane[..n - 2 * columns], &plane[columns..n - columns], &plane[2 * columns..]);
+    for (out, ((l, m), h)) in out[columns..].iter_mut().zip(low.iter().zip(middle).zip(high)) {
+        *out = finite_or_zero(l + h - 2.0 * m);
+    }
+    out.copy_within(columns..2 * columns, 0);
+    out.copy_within(n - 2 * columns..n - columns, n - columns);
+    out
+}
+
+/// Second differences D to the second derivatives M of the cubic spline, M- + 4 M + M+ = 6 D, along lines whose neighbours stand
+/// `stride` apart; at both ends a parabola.
+fn spline_bends(plane: &mut [f32], stride: usize) {
+    let n = plane.len() / stride;
     if n < 3 {
         return;
     }
     // Elimination from the first inner node on: the coefficient of the next one settles at 2 - sqrt 3.
     let mut factors = vec![0.0_f32; n];
     for i in 1..n - 1 {
-        let pivot = 4.0 - factors[i - 1];
-        factors[i] = 1.0 / pivot;
-        line[i] = (6.0 * line[i] - line[i - 1]) / pivot;
+        factors[i] = 1.0 / (4.0 - factors[i - 1]);
+        let (before, from) = plane.split_at_mut(i * stride);
+        for (v, b) in from[..stride].iter_mut().zip(&before[(i - 1) * stride..]) {
+            *v = (6.0 * *v - b) * factors[i];
+        }
     }
     for i in (1..n - 1).rev() {
-        line[i] -= factors[i] * line[i + 1];
+        let (upto, after) = plane.split_at_mut((i + 1) * stride);
+        for (v, a) in upto[i * stride..].iter_mut().zip(&after[..stride]) {
+            *v -= factors[i] * a;
+        }
     }
 }
 
@@ -241,11 +280,12 @@ impl Corners {
 }
 
 impl Patch {
-    /// The window of `field` that covers the box from `low` to `high` (map units, on the map's own turn of longitude).
+    /// The window of `field` that covers the box from `low` to `high` (map units, on the map's own turn of longitude), with the
+    /// curved surfaces through its nodes where asked for.
     ///
     /// # Errors
     /// [`Error::TooManyCandidates`] for a field without a grid that would have to be evaluated at more than `most` nodes.
-    pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2], most: u64) -> Result<Self> {
+    pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2], most: u64, curved: bool) -> Result<Self> {
         let step = field.spacing();
         let grid = field.as_grid();
         let origin = grid.map_or(low, |g| [g.x().first(), g.y().first()]);
@@ -268,8 +308,8 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let planes = std::array::from_fn(|_| vec![0.0; columns * rows]);
-        let mut patch = Self { origin, step, first, columns, rows, planes, level, even: false };
+        let planes = std::array::from_fn(|q| vec![0.0; if q < ACROSS { columns * rows } else { 0 }]);
+        let mut patch = Self { origin, step, first, columns, rows, planes, level, even: false, curved };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
         let map_columns = grid.map_or(0, |g| g.x().len());
         for r in 0..rows {
@@ -308,15 +348,16 @@ impl Patch {
         Ok(patch)
     }
 
-    /// The same window of the map at a height above it, and how it changes over `about_m` on either side of that.
+    /// The same window of the map at a height above it, and how it changes over `about_m` on either side of that; with an `about_m` of
+    /// zero, for a first look, its bends stay those of the map.
     pub fn lifted(&self, grid: &GridMap, height_m: f64, about_m: f64) -> Self {
         let mut lifted = self.clone();
         lifted.planes[VALUE] = self.at_height(grid, height_m);
         if about_m > 0.0 {
             let (below, above) = (self.at_height(grid, height_m - about_m), self.at_height(grid, height_m + about_m));
             lifted.planes[LIFT] = above.iter().zip(&below).map(|(a, b)| finite_or_zero(0.5 * (a - b))).collect();
+            lifted.fill_bends();
         }
-        lifted.fill_bends();
         lifted
     }
 
@@ -343,62 +384,28 @@ impl Patch {
         (sum / self.planes[BEND].len() as f64).sqrt()
     }
 
-    /// Second differences of the values: what bilinear interpolation leaves out. On the border those of the row or column inside it,
-    /// which continue the map as a parabola; zero beside holes.
+    /// Second differences of the values: what bilinear interpolation leaves out; those of the curved surfaces where they are wanted. On
+    /// the border those of the row or column inside it, which continue the map as a parabola; zero beside holes.
     fn fill_bends(&mut self) {
-        let (columns, rows) = (self.columns, self.rows);
-        let [values, _, _, bends, across, up, twist, spline_across, spline_up, spline_twist, _] = &mut self.planes;
-        let along_x = |plane: &[f32], r: usize, c: usize| {
-            if columns < 3 {
-                return 0.0;
+        let columns = self.columns;
+        let across = second_differences_across(&self.planes[VALUE], columns);
+        let up = second_differences_up(&self.planes[VALUE], columns);
+        self.planes[BEND] = across.iter().zip(&up).map(|(a, u)| a.abs().max(u.abs())).collect();
+        if self.curved {
+            // The spline bends at its nodes by M with M- + 4 M + M+ = 6 D (de Boor, A Practical Guide to Splines, 1978, chapter IV).
+            let mut spline = across.clone();
+            for row in spline.chunks_exact_mut(columns) {
+                spline_bends(row, 1);
             }
-            let i = r * columns + c.clamp(1, columns - 2);
-            finite_or_zero(plane[i - 1] + plane[i + 1] - 2.0 * plane[i])
-        };
-        let along_y = |plane: &[f32], r: usize, c: usize| {
-            if rows < 3 {
-                return 0.0;
-            }
-            let i = r.clamp(1, rows - 2) * columns + c;
-            finite_or_zero(plane[i - columns] + plane[i + columns] - 2.0 * plane[i])
-        };
-        for r in 0..rows {
-            for c in 0..columns {
-                let i = r * columns + c;
-                (across[i], up[i]) = (along_x(values, r, c), along_y(values, r, c));
-                bends[i] = across[i].abs().max(up[i].abs());
-            }
+            self.planes[SPLINE_TWIST] = second_differences_up(&spline, columns);
+            spline_bends(&mut self.planes[SPLINE_TWIST], columns);
+            self.planes[SPLINE_ACROSS] = spline;
+            self.planes[SPLINE_UP].clone_from(&up);
+            spline_bends(&mut self.planes[SPLINE_UP], columns);
+            self.planes[TWIST] = second_differences_up(&across, columns);
+            self.planes[ACROSS] = across;
+            self.planes[UP] = up;
         }
-        for r in 0..rows {
-            for c in 0..columns {
-                twist[r * columns + c] = along_y(across, r, c);
-            }
-        }
-        // The spline bends at its nodes by M with M- + 4 M + M+ = 6 D (de Boor, A Practical Guide to Splines, 1978, chapter IV).
-        let mut line = vec![0.0_f32; rows];
-        spline_across.copy_from_slice(across);
-        for row in spline_across.chunks_exact_mut(columns) {
-            spline_bends(row);
-        }
-        let mut up_the_columns = |plane: &mut [f32]| {
-            for c in 0..columns {
-                for r in 0..rows {
-                    line[r] = plane[r * columns + c];
-                }
-                spline_bends(&mut line);
-                for r in 0..rows {
-                    plane[r * columns + c] = line[r];
-                }
-            }
-        };
-        spline_up.copy_from_slice(up);
-        up_the_columns(spline_up);
-        for r in 0..rows {
-            for c in 0..columns {
-                spline_twist[r * columns + c] = along_y(spline_across, r, c);
-            }
-        }
-        up_the_columns(spline_twist);
     }
 
     /// Error variance from the local mean square gradient; `aspect` is the cell's sides over its mean side.
@@ -612,7 +619,7 @@ mod tests {
         } else {
             MapSigma::Constant(2.0)
         };
-        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0], 0).unwrap()
+        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0], 0, true).unwrap()
     }
 
     fn read_as_one_by_one(patch: &Patch, place: [f64; 2], offsets: &[[f64; 2]]) {
@@ -671,7 +678,7 @@ mod tests {
 
     #[test]
     fn a_value_of_unknown_error_is_a_hole() {
-        let patch = Patch::new(&HalfKnown, [0.0; 2], [10.0; 2], 10_000).unwrap();
+        let patch = Patch::new(&HalfKnown, [0.0; 2], [10.0; 2], 10_000, false).unwrap();
         for (x, known) in [(2.5, true), (7.5, false)] {
             let [u, v] = patch.position(x, 3.0);
             assert_eq!(patch.at(u, v).value.is_finite(), known, "at x = {x}");

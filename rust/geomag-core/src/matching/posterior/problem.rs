@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, Interpolant, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
+use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions, bias_prior, wants_curves};
 use super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
@@ -135,6 +135,10 @@ const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
 /// What a field may do between the nodes of an exact map, in units of its second difference there: half as much again as the bicubic
 /// surface, which differs from the bilinear one by up to an eighth along either axis.
 const COVER: f32 = 0.375;
+/// Mean square over a cell of what a curve leaves a straight line by, in squares of the second difference: 1/120, more along two axes.
+const BETWEEN_SHARE: f64 = 1.0 / 90.0;
+/// Sum over a track of those squares, in variances of the sensor, up to which no reading tells one surface from another.
+const ALIKE: f64 = 2.0;
 /// Samples times candidates times levels below which one thread is faster than several.
 const PARALLEL: usize = 16_000;
 
@@ -214,13 +218,26 @@ impl<'a> Problem<'a> {
                 Some(patch) if index == 0 => Arc::clone(patch),
                 _ => {
                     let (low, high) = around(&positions, reach);
-                    Arc::new(Patch::new(channel.field, low, high, options.max_candidates)?)
+                    Arc::new(Patch::new(
+                        channel.field,
+                        low,
+                        high,
+                        options.max_candidates,
+                        wants_curves(channel.field, options),
+                    )?)
                 }
             };
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
-            let noise = Noise::new(channel, options)?;
+            let mut noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
+            if noise.covered && noise.levels.iter().any(|l| l.between > 0.0) {
+                let square = |p: &[f64; 2]| f64::from(patch.at(p[0], p[1]).bend).powi(2);
+                let bent: f64 = indicated.iter().map(square).filter(|b| b.is_finite()).sum();
+                if BETWEEN_SHARE * bent < ALIKE * noise.sensor_variance {
+                    noise.with_one_surface();
+                }
+            }
             // The kernel's unit is the typical error, so that single precision has room on both sides of it.
             let variances = indicated.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
             let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
@@ -282,7 +299,6 @@ impl<'a> Problem<'a> {
             half_cells: channel.cells(step).map(|s| (0.5 * s) as f32),
             blur_m2: [blur(0), blur(1)],
             sensor_variance: channel.sensor_variance() as f32,
-            cubic: channel.noise.levels.iter().any(|l| l.surface != Interpolant::Bilinear),
             lifts: !channel.lifted.is_empty(),
             cover: 0.0,
             levels: &channel.noise.levels,
@@ -365,7 +381,6 @@ impl<'a> Problem<'a> {
                 if scope.cover {
                     // The first level is about the surface that was named; the bends in its reach stand for the others.
                     setup.cover = COVER;
-                    setup.cubic = false;
                 }
             }
             let mut scores = kernel::score::<BOUND>(&setup, cells, scope.levels.clone(), scratch);

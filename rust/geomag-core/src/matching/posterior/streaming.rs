@@ -10,7 +10,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::decide;
-use super::model::{Channel, Noise, PosteriorOptions};
+use super::model::{Channel, Noise, PosteriorOptions, wants_curves};
 use super::nuisance::reach_m;
 use super::patch::Patch;
 use super::problem::Problem;
@@ -327,7 +327,9 @@ impl PosteriorMatcher {
     /// Lays out the map over the state's window.
     fn lay_out(&mut self) -> Result<()> {
         let Some(b) = self.state.window else { return Ok(()) };
-        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], self.state.options.max_candidates)?;
+        let o = &self.state.options;
+        let curved = wants_curves(&*self.field, o);
+        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], o.max_candidates, curved)?;
         self.patch = Some(Arc::new(patch));
         Ok(())
     }
