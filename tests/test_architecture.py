@@ -14,9 +14,9 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 #: Lowest floor first; modules of one group may use each other.
 FLOORS = [
     {"error", "constants"},
-    {"monitor", "state", "statistics"},
+    {"monitor", "state", "statistics", "compensation"},
     {"frame", "field", "grid", "map_error", "gridding", "information", "track", "fix"},
-    {"harmonic", "kalman", "lattice"},
+    {"harmonic", "main_field", "kalman", "lattice"},
     {"matching"},
     {"navigation"},
     {"synthetic"},

@@ -24,8 +24,22 @@ from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
 from geomag._optional import require
 from geomag._ranges import above, at_least
 from geomag._statistics import wilson
+from geomag.navigation_report import NavigationReport, calibrate_navigation
 from geomag.survey import Lines, folds_of, map_from_lines
 from geomag.survey._lines import windows_of
+
+__all__ = [
+    "RISK_BINS",
+    "Calibration",
+    "NavigationReport",
+    "Suitability",
+    "assess",
+    "calibrate_lines",
+    "calibrate_navigation",
+    "calibrate_simulated",
+    "one_sided_limit",
+    "suitability",
+]
 
 Array = npt.NDArray[np.float64]
 Progress = bool | Callable[[int, int], None] | None

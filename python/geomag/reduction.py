@@ -4,7 +4,7 @@ A gravity or magnetic anomaly depends on where one believes to be: normal gravit
 velocity, course and latitude, free-air and depth reductions on height; for magnetics the main field that is taken away.
 So: reduce at the indicated positions, match, reduce at the matched positions, match again, until nothing moves.
 
-Normal gravity comes from boule (closed form at any height), the main field from ppigrf.
+Normal gravity comes from boule (closed form at any height), the main field from `geomag.mainfield`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ import numpy as np
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError
 from geomag._geomag import Track, match_contour
 from geomag._optional import require
+from geomag.mainfield import load
 
 if TYPE_CHECKING:
-    import datetime
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
     from geomag._geomag import Fix, GridMap
+    from geomag.mainfield import MainField
 
 __all__ = ["GravityReduction", "MagneticReduction", "Reduced", "Reduction", "eotvos_mgal", "match_with_reduction"]
 
@@ -107,26 +108,36 @@ class GravityReduction:
 
 @dataclass(frozen=True)
 class MagneticReduction:
-    """Total intensity to anomaly: reading less the main field (IGRF) at its place and date.
+    """Total intensity to anomaly: reading less the main field at its place and date.
 
     Parameters
     ----------
-    date : date of the readings.
+    date : date, datetime, ISO text, numpy datetime64, pandas timestamps or decimal years
+        Date of the readings: one, or one a sample. A time zone is heeded; without one a date is in UTC.
     height_m : height above the ellipsoid; one number, or one a sample.
+    model : 'igrf14', 'wmm2025', 'wmmhr2025', or what `geomag.mainfield.load` gave
+        The model that the map was reduced by, as a rule IGRF.
+
+    Examples
+    --------
+    >>> import datetime, numpy as np
+    >>> from geomag.reduction import MagneticReduction
+    >>> when = datetime.datetime(2026, 6, 1, tzinfo=datetime.timezone.utc)
+    >>> MagneticReduction(when, 600.0).correction(np.array([10.0]), np.array([45.0]), None).round(2)
+    array([-47724.82])
     """
 
-    date: datetime.datetime
+    date: Any
     height_m: float | NDArray[np.float64] = 0.0
+    model: str | MainField = "igrf14"
 
     def correction(
         self, longitude: NDArray[np.float64], latitude: NDArray[np.float64], time_s: NDArray[np.float64] | None
     ) -> NDArray[np.float64]:
         """Anomaly less raw reading, nT."""
         del time_s
-        ppigrf = require("ppigrf", "field", "the main field")
-        height = np.broadcast_to(np.asarray(self.height_m, dtype=float) / 1000.0, latitude.shape)
-        east, north, up = (np.asarray(c).ravel() for c in ppigrf.igrf(longitude, latitude, height, self.date))
-        return np.asarray(-np.sqrt(east**2 + north**2 + up**2))
+        model = load(self.model) if isinstance(self.model, str) else self.model
+        return -model.total(longitude, latitude, self.height_m, self.date)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""One self-contained page about one match: answer, pictures, figures, settings.
+"""One self-contained page about one match, or one flight: answer, pictures, figures, settings.
 
 The page needs no network and no other file: it can be mailed, archived and printed.
 """
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from geomag._geomag import Fix, GridMap, Track
+    from geomag._navigation import Navigation
 
-__all__ = ["match_report"]
+__all__ = ["match_report", "navigation_page"]
 
 _CSS = """
 :root { color-scheme: light; --ink: #1b1f24; --soft: #5b6470; --line: #d9dee4; --good: #00694d; --bad: #a84300; }
@@ -173,7 +174,7 @@ def match_report(
     sections: list[str] = []
 
     def add(heading: str, body: str, *, wide: bool = False) -> None:
-        sections.append(f"<section{' class=wide' if wide else ''}><h2>{html.escape(heading)}</h2>{body}</section>")
+        sections.append(_section(heading, body, wide=wide))
 
     def root(ax: Axes) -> Figure:
         return cast("Figure", ax.figure)
@@ -221,9 +222,6 @@ def match_report(
     if told or command:
         body = (f"<p><code>{html.escape(command)}</code></p>" if command else "") + (_table(told) if told else "")
         add("Settings", body)
-    listed = ", ".join(f"{name} {version}" for name, version in versions().items() if version)
-    add("Versions", f"<p><code>{html.escape(listed)}</code></p>")
-
     words = html.escape(status_in_words(fix))
     # Without a fix nobody is told where to move.
     moved = "".join(f"<p>{html.escape(reason[:1].upper() + reason[1:])}</p>" for reason in reasons(grid, track, fix))
@@ -233,17 +231,108 @@ def match_report(
             f"<p>The indicated position is to be moved by {abs(east):.0f} m {'east' if east >= 0 else 'west'} and "
             f"{abs(north):.0f} m {'north' if north >= 0 else 'south'}, from {fix.n_samples} samples.</p>"
         )
+    footer = "Offsets are true minus indicated position; x to the east, y to the north. Made by geomag."
+    return _write(path, title, words + "</p>" + moved, fix.ok, sections, footer)
+
+
+def _section(heading: str, body: str, *, wide: bool = False) -> str:
+    return f"<section{' class=wide' if wide else ''}><h2>{html.escape(heading)}</h2>{body}</section>"
+
+
+def _write(path: str | PathLike[str], title: str, answer: str, good: bool, sections: list[str], footer: str) -> Path:
+    """Write a page: answer first, then the sections, then versions."""
+    listed = ", ".join(f"{name} {version}" for name, version in versions().items() if version)
+    shown = [*sections, _section("Versions", f"<p><code>{html.escape(listed)}</code></p>")]
     page = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{html.escape(title)}</title><style>{_CSS}</style></head><body><main>"
         f"<h1>{html.escape(title)}</h1>"
-        f'<div class="answer{" ok" if fix.ok else ""}"><p class="status">{words}</p>{moved}</div>'
-        f'<div class="grid">{"".join(sections)}</div>'
-        "<footer>Offsets are true minus indicated position; x to the east, y to the north. Made by geomag.</footer>"
+        f'<div class="answer{" ok" if good else ""}"><p class="status">{answer}</div>'
+        f'<div class="grid">{"".join(shown)}</div>'
+        f"<footer>{footer}</footer>"
         "</main></body></html>\n"
     )
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(page, encoding="utf-8")
     return target
+
+
+_FLIGHT_WORDS = {
+    "tracking": "Tracking: position and bound may be used.",
+    "coasting": "Coasting: no reading for a while; position and bound may be used, the bound grows.",
+    "acquiring": "Acquiring: the start is not known well enough yet; the bound says how far it may be out.",
+    "lost": "Lost: only the bound is to be believed.",
+}
+
+
+def navigation_page(
+    path: str | PathLike[str],
+    grid: GridMap,
+    flight: Navigation,
+    indicated: tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]],
+    readings: np.ndarray[Any, Any],
+    *,
+    truth: tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    title: str = "Flight over a field map",
+) -> Path:
+    """Write one self-contained HTML page about one navigated flight.
+
+    Parameters
+    ----------
+    path : of the page, ending in .html.
+    grid, flight : map, and what `navigate` answered.
+    indicated, readings : x and y of the INS, and the readings (NaN where there was none), shape (n,) each.
+    truth : true x and y, where they are known.
+    settings : what the run was told.
+    title : of the page.
+    """
+    from geomag.plot._navigation import words
+
+    picture = _picture(
+        lambda: plot.navigation_figure(grid, flight, indicated, readings, truth=truth),
+        "Left: indicated and corrected track on the map. Right: readings and map along the corrected track; bounds over time, shaded where "
+        "the navigator does not track.",
+        "Map with the tracks, readings and bounds of the flight",
+    )
+    names = {
+        "share_tracking": "tracking, share of the time", "share_coasting": "coasting", "share_acquiring": "acquiring", "share_lost": "lost",
+        "protection_level_m": "protection level, median", "declared_rms_m": "declared rms error", "drms_m": "rms error", "median_m": "median error", "p95_m": "95 % of the errors below",
+        "max_m": "largest error", "nees": "squared error over variance (2 is right)", "within_99": "within the 99 % radius", "within_declared": "within 1.4 of it",
+        "beyond_protection": "beyond the protection level",
+    }  # fmt: skip
+    figures = [
+        (
+            names.get(key, key),
+            f"{value:.0f} m" if key.endswith("_m") else f"{value:.3g}" if key == "nees" else f"{100 * value:.1f} %",
+        )
+        for key, value in flight.summary(truth).items()
+    ]
+    where = "degrees" if grid.geographic else "m"
+    last = [
+        ("position (x, y)", f"{flight.x[-1]:.10g}, {flight.y[-1]:.10g} {where}"),
+        ("standard deviation", "{:.0f} m east, {:.0f} m north".format(*np.sqrt(np.diag(flight.covariance_m2[-1])))),
+        ("protection level", f"{flight.protection_level_m[-1]:.0f} m"),
+        ("velocity error of the INS", "{:.2f} m/s east, {:.2f} m/s north".format(*flight.velocity_error_m_s[-1])),
+        ("heading error of the INS", f"{flight.heading_error_deg[-1]:.3f} degrees"),
+        ("bias of the sensor", f"{flight.bias[-1]:.1f} {grid.units or ''}".strip()),
+        ("output of the INS", flight.inputs),
+    ]
+    changes = np.flatnonzero(np.concatenate([[True], flight.status[1:] != flight.status[:-1]]))
+    log = [
+        (f"{(flight.time_s[k] - flight.time_s[0]) / 60:.1f} min", f"{flight.status[k]}: {flight.reason[k]}")
+        for k in changes[:60]
+    ]
+    sections = [
+        _section("Flight", picture, wide=True),
+        _section("Figures", _table(figures)),
+        _section("At the end", _table(last)),
+        _section("What happened", _table(log)),
+    ]
+    if settings:
+        sections.append(_section("Settings", _table([(str(k), v) for k, v in settings.items()])))
+    answer = f"{html.escape(_FLIGHT_WORDS.get(str(flight.status[-1]), str(flight.status[-1])))}</p><p>{html.escape(words(flight))}.</p>"
+    footer = "The first ten minutes are not in the figures. x to the east, y to the north. Made by geomag."
+    return _write(path, title, answer, flight.status[-1] in ("tracking", "coasting"), sections, footer)

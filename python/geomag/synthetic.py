@@ -30,8 +30,10 @@ from geomag._errors import InvalidInputError, NotFiniteError
 from geomag._geomag import Path, SyntheticField, Track
 from geomag._geomag import draw_ins_error as _draw_ins_error
 from geomag._geomag import fly as _fly
+from geomag._inertial import Inertial, InertialError, draw_inertial_error, indicate, strapdown
 from geomag._metres import metres_per_unit
 from geomag._ranges import above, at_least
+from geomag._vehicle import CalibrationFlight, VehicleField, attitude_along, calibration_box
 from geomag.survey import Lines
 
 if TYPE_CHECKING:
@@ -40,8 +42,11 @@ if TYPE_CHECKING:
     from geomag._geomag import GridMap
 
 __all__ = [
+    "CalibrationFlight",
     "Crust",
     "Flight",
+    "Inertial",
+    "InertialError",
     "InsError",
     "InsSpread",
     "Lattice",
@@ -51,7 +56,13 @@ __all__ = [
     "Sensor",
     "SyntheticField",
     "Uniform",
+    "VehicleField",
+    "attitude_along",
+    "calibration_box",
+    "draw_inertial_error",
     "fly",
+    "indicate",
+    "strapdown",
     "survey",
 ]
 
@@ -146,7 +157,10 @@ class InsError:
 
     With w the Schuler rate (84.4 minutes), an initial velocity error v gives a position error of v sin(w t) / w, an
     accelerometer bias b gives b (1 - cos w t) / w^2, a gyro drift e gives R e (t - sin(w t) / w) (Groves 2013,
-    section 5.7); without `schuler` they grow as t, t^2 and t^3. Heading and scale errors act on every travelled step.
+    section 5.7); without `schuler` they grow as t, t^2 and t^3. Heading and scale errors act on every travelled step: the law of an odometer, a log or
+    an airspeed with a compass. In an INS a heading error acts through the Earth's rate and the turns instead (a tenth of a degree at 40 degrees of
+    latitude, 100 m/s to the north: 2.7 km along and 450 m across after an hour, where an odometer is 630 m across): that, and everything else that couples, is
+    `InertialError`, carried on by `indicate` or `strapdown`.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -156,9 +170,9 @@ class InsError:
     velocity_m_s: tuple[float, float] = (0.0, 0.0)
     """Initial velocity error (east, north)."""
     heading_deg: float = 0.0
-    """Heading error, clockwise."""
+    """Heading error of dead reckoning, clockwise: turns every travelled step (an odometer's law, not an INS's)."""
     heading_rate_deg_h: float = 0.0
-    """Growth of the heading error, degrees an hour."""
+    """Growth of that heading error, degrees an hour."""
     scale: float = 0.0
     """Indicated over true distance, less one."""
     gyro_deg_h: tuple[float, float] = (0.0, 0.0)

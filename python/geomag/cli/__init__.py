@@ -64,7 +64,19 @@ def _main(
 
 
 # Each registers its command on `app`.
-from geomag.cli import bench, calibrate, demo, field, info, match, reproduce, stream, stress, suitability  # noqa: E402, F401
+from geomag.cli import (  # noqa: E402
+    bench,  # noqa: F401
+    calibrate,  # noqa: F401
+    demo,  # noqa: F401
+    field,  # noqa: F401
+    info,  # noqa: F401
+    match,  # noqa: F401
+    navigate,  # noqa: F401
+    reproduce,  # noqa: F401
+    stream,  # noqa: F401
+    stress,  # noqa: F401
+    suitability,  # noqa: F401
+)
 
 
 def run(arguments: Sequence[str]) -> int:

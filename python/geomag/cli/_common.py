@@ -50,7 +50,24 @@ def fix_json(fix: Fix, **more: object) -> str:
 
 
 def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
-    """Read a track; the value column is by default the one that is named as the map's variable is."""
+    """Read a track and bring it to the map's coordinates; what was done for that is told on stderr.
+
+    The value column is by default the one that is named as the map's variable is.
+    """
+    import warnings
+
+    from geomag.projection import AlignedWarning, align
+
+    track = _read(path, grid, x, y, value, drop)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", AlignedWarning)
+        track = align(grid, track)
+    for said in told:
+        typer.echo(str(said.message), err=True)
+    return track
+
+
+def _read(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
     if value is None and grid.name:
         import contextlib
 

@@ -149,7 +149,7 @@ def demo(
         bool, typer.Option("--json", help="One JSON object (the fix and its error) instead of text.")
     ] = False,
 ) -> int:
-    """Match a track with a declared risk, show what IEMA and grid search say of the same flight, and draw it."""
+    """Match a track with a declared risk, show what IEMA and grid search say of it, navigate a whole flight, and draw both."""
     if (lines is None) != (map is None):
         raise InvalidInputError("demo: needed --lines and --map together, got one of them")
     scene = synthetic_scene(seed) if lines is None or map is None else survey_scene(lines, map, seed)
@@ -176,7 +176,15 @@ def demo(
             say(f"error       {np.hypot(answer.offset_m[0] - east, answer.offset_m[1] - north):.0f} m")
     draw(scene.grid, scene.track, fix, out, "posterior", steps, truth=scene.truth)
     say(f"\npicture     {out}")
+    more: dict[str, object] = {}
+    if lines is None:
+        from geomag.cli._demo_flight import fly
+
+        beside = out.with_name(f"{out.stem}-flight{out.suffix}")
+        figures, said = fly(scene.grid, seed, beside)
+        say(f"\na flight of an INS over the same map, corrected by every reading\n{said}\npicture     {beside}")
+        more = {"flight": figures, "flight_picture": str(beside)}
     if as_json:
         error = float(np.hypot(fix.offset_m[0] - east, fix.offset_m[1] - north))
-        typer.echo(fix_json(fix, error_m=error, picture=str(out)))
+        typer.echo(fix_json(fix, error_m=error, picture=str(out), **more))
     return 0 if fix.ok else NO_FIX

@@ -13,6 +13,7 @@ written unless asked for (`save`). Needs matplotlib: `pip install 'geomag-nav[pl
 `residuals`            measured against map values along the track
 `calibration_diagram`  declared risk against observed rate of wrong fixes
 `reliability_points`   the same from bins that were counted elsewhere
+`navigation_figure`    a navigated flight: map, log and bounds
 `suitability_map`      where on the map a fix can be had
 `sequence_choice`      which samples were chosen on the field's profile
 `filter_errors`        errors of a filter with the bands of its own covariance
@@ -33,6 +34,7 @@ from geomag.plot._diagrams import (
 from geomag.plot._frames import Frame, animate, frames, score_surface
 from geomag.plot._maps import ellipse, field_map, north_arrow, scale_bar, suitability_map, tracks
 from geomag.plot._match import match_figure, match_map
+from geomag.plot._navigation import navigation_figure
 from geomag.plot._style import COLOURS, save, style
 
 __all__ = [
@@ -47,6 +49,7 @@ __all__ = [
     "frames",
     "match_figure",
     "match_map",
+    "navigation_figure",
     "north_arrow",
     "reliability_points",
     "residuals",

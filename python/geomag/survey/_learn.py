@@ -11,6 +11,7 @@ import numpy as np
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many
 from geomag._ranges import at_least
+from geomag.survey._learn_filter import FilterLaw, learn_filter
 from geomag.survey._lines import (
     SHORTEST_WINDOW,
     WINDOW,
@@ -60,7 +61,7 @@ class ErrorModel:
     `noise` and `floor` (value units), `displacement` (share of the distance to the data) and `curvature` are n, a, b and c of
     the module's formula; `correlation` and `registration` are in distances to the data. `windows` counts the left-out windows that
     it rests on, `loss` is the mean log loss of the risks declared for them. `smoothing_m` is the length over which the map was smoothed
-    (0: the lines are honoured).
+    (0: the lines are honoured). `filter` is what a navigator needs beside that, where the lines were enough to learn it.
     """
 
     noise: float
@@ -75,6 +76,7 @@ class ErrorModel:
     smoothing_m: float = 0.0
     nu: float = NU
     scale_spread: float = SCALE_SPREAD
+    filter: FilterLaw | None = None
     trials: list[dict[str, float]] = field(default_factory=list, repr=False)
 
 
@@ -155,6 +157,12 @@ class _Fold:
     def features(self) -> tuple[Array, Array]:
         """Gradient and second derivative of the map."""
         return features(np.asarray(self.base.values, dtype=float), self.distance, self.axes)
+
+    def with_sigma(self, law: Law, abc: tuple[float, ...]) -> tuple[GridMap, Array]:
+        """The map with the sigma of the formula, and its distances to the data."""
+        a, b, c = abc
+        sigma = sigma_of(*self.features, self.distance, law, a, b, c)
+        return layered(self.base, np.asarray(self.base.values, dtype=float), sigma, self.distance)
 
 
 def _fold(kept: list[Lines], left: list[Window], axes: Axes, method: str, spacing_m: float, weight: float) -> _Fold:
@@ -289,6 +297,9 @@ def learn_errors(
     a, b, c = (float(v) for v in _fit_sigma(residuals, gradient, curvature, distance, law))
     trials = _try_correlations(parts, law, (a, b, c), axes, spacing_m, rng, progress)
     best = min(trials, key=lambda t: t["total"])
+    stored = [part.with_sigma(law, tuple(best["share"] * v for v in (a, b, c))) for part in parts]
+    left = [[p for p, f in zip(pieces, fold, strict=True) if f == k] for k in range(folds)]
+    for_filters = learn_filter(stored, left, pieces, best["correlation"], law.noise, np.random.default_rng(seed))
     return ErrorModel(
         noise=law.noise,
         floor=a * best["share"],
@@ -300,6 +311,7 @@ def learn_errors(
         windows=sum(len(p.windows) for p in parts),
         loss=best["loss"],
         smoothing_m=smoothing_m or 0.0,
+        filter=for_filters,
         trials=trials,
     )
 
@@ -340,12 +352,7 @@ def _try_correlations(
     report = progress if callable(progress) else None
     trials: list[dict[str, float]] = []
 
-    def at_share(part: _Fold, share: float) -> tuple[GridMap, Array]:
-        a, b, c = (share * v for v in abc)
-        sigma = sigma_of(*part.features, part.distance, law, a, b, c)
-        return layered(part.base, np.asarray(part.base.values, dtype=float), sigma, part.distance)
-
-    maps = {share: [at_share(part, share) for part in parts] for share in SHARES}
+    maps = {share: [part.with_sigma(law, tuple(share * v for v in abc)) for part in parts] for share in SHARES}
 
     def attempt(correlation: float, share: float, total: int) -> None:
         losses = []

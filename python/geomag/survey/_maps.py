@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from geomag._errors import InvalidInputError
@@ -44,6 +46,7 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
         correlation=model.correlation,
         registration=model.registration,
         distance_m=distance,
+        **({} if model.filter is None else asdict(model.filter)),
     )
 
 

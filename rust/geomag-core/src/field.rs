@@ -58,6 +58,15 @@ pub trait Field: Send + Sync + std::fmt::Debug {
         if self.geographic() { crate::frame::metres_per_degree(y) } else { [1.0, 1.0] }
     }
 
+    /// Displacement from one point to another on the ground, metres `[east, north]`.
+    fn displacement_m(&self, from: [f64; 2], to: [f64; 2]) -> [f64; 2] {
+        if self.geographic() {
+            return crate::frame::displacement_m(true, from, to);
+        }
+        let [east, north] = self.metres_per_unit(0.5 * (from[1] + to[1]));
+        [(to[0] - from[0]) * east, (to[1] - from[1]) * north]
+    }
+
     /// Brings a longitude to the turn that the map is on; projected x is returned as it is.
     fn wrap_x(&self, x: f64) -> f64;
 

@@ -10,6 +10,7 @@
 //! ones. Values in the map's unit. An *offset* is true minus indicated position.
 
 pub mod campaign;
+pub mod compensation;
 pub mod constants;
 pub mod error;
 pub mod field;
@@ -21,6 +22,7 @@ pub mod harmonic;
 pub mod information;
 pub mod kalman;
 pub mod lattice;
+pub mod main_field;
 pub mod map_error;
 pub mod matching;
 pub mod monitor;

@@ -177,6 +177,6 @@ pub fn campaign_flight<'py>(
     let truth = Truth::new(grid, truth)?;
     let flight = campaign.flight(&grid.inner, truth.field(), trial)?;
     let n = flight.truth.len();
-    let track = PyTrack { inner: Arc::new(flight.track) };
+    let track = PyTrack::from_core(flight.track);
     Ok((PyPath { inner: flight.path }, track, shaped(py, flight.truth, &[n])?))
 }

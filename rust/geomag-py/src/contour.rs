@@ -331,7 +331,7 @@ pub fn py_match_contour(
         let what = format!("channels[{i}]");
         others.push((grid_map(&what, grid)?, vector(&what, values)?, *sigma));
     }
-    let track = track.inner.clone();
+    let track = track.on(py, grid)?;
     let units = work(&options, track.len(), 1 + others.len());
     let fix = long_call::run(py, units, None, None, |monitor| {
         let mut all = vec![Channel { map: &map, values: track.values(), sigma }];

@@ -10,7 +10,7 @@ use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
-use crate::arrays::{broadcast, in_place, is_single, matrix, shaped, vector};
+use crate::arrays::{array, broadcast, in_place, is_single, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
 
@@ -49,6 +49,9 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 ///     datum (ellipsoid, geoid, mean sea level) is the map's own; the heights of tracks are counted from the same.
 /// name, units, crs : str, optional
 ///     Carried along.
+/// ground_scale : float, array of shape (len(y),) or (len(y), 2), optional
+///     Metres on the ground per map unit (east, north), one or one a row, for projections that stretch (Mercator); one by default.
+///     `read_grid` gives it where the file says the projection.
 ///
 /// Raises
 /// ------
@@ -116,6 +119,31 @@ fn axis_array<'py>(py: Python<'py>, axis: &Axis) -> PyRes<Bound<'py, PyAny>> {
 }
 
 impl PyGridMap {
+    /// With a ground scale: one number, one a row, or a pair a row; `falling` where rows come from north to south.
+    fn scaled(&self, scale: &Bound<'_, PyAny>, falling: bool) -> PyRes<Self> {
+        let rows = self.shape().0;
+        let pairs = array("ground_scale", scale)?;
+        let values: Vec<f64> = pairs.as_array().iter().copied().collect();
+        let mut pairs: Vec<[f64; 2]> = match *pairs.shape() {
+            [] => vec![[values[0]; 2]; rows],
+            [n] if n == rows => values.iter().map(|v| [*v; 2]).collect(),
+            [n, 2] if n == rows => values.as_chunks::<2>().0.to_vec(),
+            ref other => {
+                let needed = format!("one number, ({rows},) or ({rows}, 2) as the rows");
+                return Err(Error::shape("ground_scale", needed, format!("{other:?}")).into());
+            }
+        };
+        if falling {
+            pairs.reverse();
+        }
+        Ok(Self {
+            inner: Arc::new((*self.inner).clone().with_ground_scale(Some(pairs))?),
+            name: self.name.clone(),
+            units: self.units.clone(),
+            crs: self.crs.clone(),
+        })
+    }
+
     fn with_model(&self, model: Option<MapErrorModel>) -> Result<Self, Error> {
         Ok(Self {
             inner: Arc::new((*self.inner).clone().with_error_model(model)?),
@@ -129,8 +157,8 @@ impl PyGridMap {
 #[pymethods]
 impl PyGridMap {
     #[new]
-    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, height_m = None,
-        name = None, units = None, crs = None))]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, height_m = None, name = None,
+        units = None, crs = None, ground_scale = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -143,6 +171,7 @@ impl PyGridMap {
         name: Option<String>,
         units: Option<String>,
         crs: Option<String>,
+        ground_scale: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let (grid_values, rows, columns) = grid_values(values)?;
         let (xs, ys) = (vector("x", x)?, vector("y", y)?);
@@ -186,7 +215,11 @@ impl PyGridMap {
             };
             inner = inner.with_height(Some(layer))?;
         }
-        Ok(Self { inner: Arc::new(inner), name, units, crs })
+        let map = Self { inner: Arc::new(inner), name, units, crs };
+        match ground_scale {
+            None => Ok(map),
+            Some(scale) => map.scaled(scale, ys[0] > ys[ys.len() - 1]),
+        }
     }
 
     /// Make a map of a two-dimensional xarray.DataArray; see `geomag.io.grid_from_xarray` for the options.
@@ -363,6 +396,18 @@ impl PyGridMap {
         self.inner.geographic()
     }
 
+    /// Metres on the ground per map unit (east, north) of every row, y ascending, shape (len(y), 2); None where a metre of the
+    /// map is one on the ground.
+    #[getter]
+    fn ground_scale<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+        self.inner.ground_scale().map(|rows| shaped(py, rows.concat(), &[rows.len(), 2])).transpose()
+    }
+
+    /// The same map with the scale of its projection: see `geomag.projection.true_scale`.
+    fn with_ground_scale(&self, ground_scale: &Bound<'_, PyAny>) -> PyRes<Self> {
+        self.scaled(ground_scale, false)
+    }
+
     /// Number of NaN nodes.
     #[getter]
     fn holes(&self) -> usize {
@@ -469,13 +514,22 @@ impl PyGridMap {
         let correlation_m = this.inner.correlation_m();
         let model = this.error_model(py)?;
         let errors = (this.sigma(py)?, correlation_m);
-        let arguments = (this.values(py)?, axes, this.inner.geographic(), errors, text, model, this.height_m(py)?)
+        let arguments = (
+            this.values(py)?,
+            axes,
+            this.inner.geographic(),
+            errors,
+            text,
+            model,
+            this.height_m(py)?,
+            this.ground_scale(py)?,
+        )
             .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
-    #[pyo3(signature = (values, axes, geographic, errors, text, model, height_m = None))]
+    #[pyo3(signature = (values, axes, geographic, errors, text, model, height_m = None, ground_scale = None))]
     #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
@@ -485,6 +539,7 @@ impl PyGridMap {
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
         height_m: Option<&Bound<'_, PyAny>>,
+        ground_scale: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -509,7 +564,10 @@ impl PyGridMap {
             .with_sigma(sigma)?
             .with_correlation_m(correlation_m)?
             .with_height(height)?;
-        let map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        let mut map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        if let Some(scale) = ground_scale {
+            map = map.scaled(scale, false)?;
+        }
         let Some(model) = model else { return Ok(map) };
         let number = |key: &str| -> PyRes<f64> {
             match model.get_item(key)? {

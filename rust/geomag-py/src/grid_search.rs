@@ -148,7 +148,7 @@ pub fn py_match_grid(
 ) -> PyRes<PyFix> {
     check_unused(length_scale_m, value_scale, fraction, robust_scale, nu)?;
     let field = field(grid)?;
-    let samples = &*track.inner;
+    let samples = &*track.on(py, grid)?;
     let weights = optional_vector("weights", weights)?;
     let measured = samples.weighted(weights.as_deref())?;
     let search = GridSearch {

@@ -108,7 +108,9 @@ impl PyFeedbackStep {
 /// The horizontal error of an INS, followed from fix to fix.
 ///
 /// A linear Kalman filter of position, velocity and heading error. A fix is tested by its normalised innovation and
-/// refused beyond the gate. Not for attitude or height: see pyins for a full error-state filter.
+/// refused beyond the gate. Its heading error turns the indicated velocity, as in dead reckoning with an odometer, a log or an
+/// airspeed; in an INS a heading error acts through the Earth's rate instead, which `navigate` models. Not for attitude or
+/// height.
 ///
 /// Parameters
 /// ----------

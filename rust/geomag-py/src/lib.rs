@@ -18,6 +18,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 mod arrays;
 mod campaign;
+mod compensation;
 mod contour;
 mod error;
 mod fix;
@@ -32,6 +33,7 @@ mod ins_feedback;
 mod kalman;
 mod lock;
 mod long_call;
+mod main_field;
 mod map_navigator;
 mod navigator;
 mod posterior;
@@ -43,6 +45,8 @@ mod track;
 mod _geomag {
     #[pymodule_export]
     use crate::campaign::{campaign_flight, campaign_rows};
+    #[pymodule_export]
+    use crate::compensation::{PyCompensator, tolles_lawson_terms};
     #[pymodule_export]
     use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
     #[pymodule_export]
@@ -65,6 +69,8 @@ mod _geomag {
     use crate::ins_feedback::{PyCorrectedPosition, PyFeedbackStep, PyInsFeedback};
     #[pymodule_export]
     use crate::kalman::{PyExtendedKalmanFilter, PyUnscentedKalmanFilter};
+    #[pymodule_export]
+    use crate::main_field::PyMainFieldModel;
     #[pymodule_export]
     use crate::map_navigator::{
         PyInsModel, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,

@@ -5,7 +5,6 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
-use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 
@@ -160,7 +159,7 @@ pub fn match_posterior(
         position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates, surface
     };
     let more = extras(more)?;
-    let track = &track.get().inner;
+    let track = &track.get().on(py, grid)?;
     let units = posterior::work(&*map, track, &options)?.saturating_mul(more.len() as u64 + 1);
     let fix = long_call::run(py, units, None, None, |monitor| {
         let mut channels = vec![Channel { field: &*map, values: track.values(), sigma }];
@@ -257,7 +256,7 @@ pub fn match_posterior_many(
         half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
         position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
     };
-    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
     let units = (tracks.len() as u64).saturating_mul(4_000_000);
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
         if streaming {
@@ -611,7 +610,7 @@ pub fn predict_many(
     let options = options! {
         half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu, interpolation
     };
-    let tracks: Vec<Track> = tracks.iter().map(|t| (*t.get().inner).clone()).collect();
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
     if flights > MAX_FLIGHTS {
         return Err(invalid("flights", &format!("at most {MAX_FLIGHTS}"), flights));
     }

@@ -272,5 +272,5 @@ pub fn fly<'py>(
         return Err(invalid("field", "a SyntheticField or a GridMap", field.get_type()));
     };
     let n = flight.truth.len();
-    Ok((PyTrack { inner: Arc::new(flight.track) }, shaped(py, flight.truth, &[n])?))
+    Ok((PyTrack::from_core(flight.track), shaped(py, flight.truth, &[n])?))
 }

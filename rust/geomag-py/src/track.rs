@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
+use geomag_core::field::Field;
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
 use crate::arrays::{optional_vector, shaped, vector};
 use crate::error::{PyRes, invalid};
+use crate::grid::PyGridMap;
 
 /// The indicated track: positions as the INS gives them, with the measured values, oldest first.
 ///
@@ -21,6 +23,9 @@ use crate::error::{PyRes, invalid};
 ///     Times in seconds, not falling.
 /// height_m : float or array of shape (n,), optional
 ///     Height of the samples, metres above the height datum of the map, positive up: see `GridMap`.
+/// geographic : bool, optional
+///     Whether positions are degrees of longitude and latitude (WGS84). Said, they are brought to the coordinates of a
+///     map with a CRS, or refused on one without; not said, they are taken as the map's.
 ///
 /// Raises
 /// ------
@@ -36,18 +41,45 @@ use crate::error::{PyRes, invalid};
 pub struct PyTrack {
     /// The samples.
     pub inner: Arc<Track>,
+    /// Whether positions are degrees, where it is known.
+    geographic: Option<bool>,
+}
+
+impl PyTrack {
+    /// A track made on the Rust side, of whatever its map is in.
+    pub fn from_core(track: Track) -> Self {
+        Self { inner: Arc::new(track), geographic: None }
+    }
+
+    /// The samples in the coordinates of a map: brought there by its CRS where the track says that it is in others.
+    pub fn on(&self, py: Python<'_>, map: &Bound<'_, PyAny>) -> PyRes<Arc<Track>> {
+        match (self.geographic, map.cast::<PyGridMap>()) {
+            (Some(degrees), Ok(grid)) if grid.get().inner.geographic() != degrees => {
+                let own = Py::new(py, Self { inner: self.inner.clone(), geographic: self.geographic })?;
+                let aligned = py.import("geomag.projection")?.getattr("align")?.call1((map, own))?;
+                Ok(aligned.cast::<Self>().map_err(PyErr::from)?.get().inner.clone())
+            }
+            _ => Ok(self.inner.clone()),
+        }
+    }
+}
+
+/// [`PyTrack::on`] of several.
+pub fn all_on(py: Python<'_>, map: &Bound<'_, PyAny>, tracks: &[Bound<'_, PyTrack>]) -> PyRes<Vec<Track>> {
+    tracks.iter().map(|t| Ok((*t.get().on(py, map)?).clone())).collect()
 }
 
 #[pymethods]
 impl PyTrack {
     #[new]
-    #[pyo3(signature = (x, y, values, time_s = None, *, height_m = None))]
+    #[pyo3(signature = (x, y, values, time_s = None, *, height_m = None, geographic = None))]
     fn new(
         x: &Bound<'_, PyAny>,
         y: &Bound<'_, PyAny>,
         values: &Bound<'_, PyAny>,
         time_s: Option<&Bound<'_, PyAny>>,
         height_m: Option<&Bound<'_, PyAny>>,
+        geographic: Option<bool>,
     ) -> PyRes<Self> {
         let track = Track::new(
             vector("track x", x)?,
@@ -59,7 +91,7 @@ impl PyTrack {
             &[everywhere] => vec![everywhere; track.len()],
             _ => h,
         });
-        Ok(Self { inner: Arc::new(track.with_height(height)?) })
+        Ok(Self { inner: Arc::new(track.with_height(height)?), geographic })
     }
 
     /// Indicated x, map units.
@@ -92,6 +124,12 @@ impl PyTrack {
         self.inner.height_m().map(|h| shaped(py, h.to_vec(), &[h.len()])).transpose()
     }
 
+    /// Whether positions are degrees of longitude and latitude; None where it was not said: they are as the map's then.
+    #[getter]
+    fn geographic(&self) -> Option<bool> {
+        self.geographic
+    }
+
     /// Along-track distance of every sample from the first, metres.
     #[pyo3(signature = (*, geographic = false))]
     fn distance_m<'py>(&self, py: Python<'py>, geographic: bool) -> PyRes<Bound<'py, PyAny>> {
@@ -114,26 +152,29 @@ impl PyTrack {
         let pick = |v: &[f64]| picks.iter().map(|&i| v[i]).collect::<Vec<_>>();
         let t = &self.inner;
         let track = Track::new(pick(t.x()), pick(t.y()), pick(t.values()), t.time_s().map(pick))?;
-        Ok(Self { inner: Arc::new(track.with_height(t.height_m().map(pick))?) })
+        Ok(Self { inner: Arc::new(track.with_height(t.height_m().map(pick))?), geographic: self.geographic })
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
         let this = slf.get();
         let arguments =
-            (this.x(py)?, this.y(py)?, this.values(py)?, this.time_s(py)?, this.height_m(py)?).into_pyobject(py)?;
+            (this.x(py)?, this.y(py)?, this.values(py)?, this.time_s(py)?, this.height_m(py)?, this.geographic)
+                .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
+    #[pyo3(signature = (x, y, values, time_s, height_m, geographic = None))]
     fn _restore(
         x: &Bound<'_, PyAny>,
         y: &Bound<'_, PyAny>,
         values: &Bound<'_, PyAny>,
         time_s: Option<&Bound<'_, PyAny>>,
         height_m: Option<&Bound<'_, PyAny>>,
+        geographic: Option<bool>,
     ) -> PyRes<Self> {
-        Self::new(x, y, values, time_s, height_m)
+        Self::new(x, y, values, time_s, height_m, geographic)
     }
 
     fn __repr__(&self) -> String {

@@ -2,6 +2,7 @@
 
 mod axis;
 mod continued;
+mod ground;
 mod nodes;
 mod sample;
 
@@ -14,6 +15,7 @@ pub use sample::Interpolation;
 use std::ops::Range;
 
 use axis::unwrap_longitudes;
+use ground::GroundScale;
 use nodes::{Holes, part};
 
 use crate::error::{Error, Result};
@@ -45,6 +47,7 @@ pub struct GridMap {
     correlation_m: Option<f64>,
     error_model: Option<MapErrorModel>,
     height: Option<MapHeight>,
+    ground: Option<GroundScale>,
     continued: continued::Continued,
 }
 
@@ -151,6 +154,7 @@ impl GridMap {
             error_model: None,
             height: None,
             continued: continued::Continued::default(),
+            ground: None,
         })
     }
 
@@ -243,6 +247,23 @@ impl GridMap {
         Ok(self)
     }
 
+    /// The same projected map with the scale of its projection, so that metres are metres on the ground.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a geographic map, whose scale is known, and as [`GroundScale::new`].
+    pub fn with_ground_scale(mut self, rows: Option<Vec<[f64; 2]>>) -> Result<Self> {
+        if rows.is_some() && self.geographic {
+            return Err(Error::invalid("map ground_scale", "none for a geographic map", "a scale"));
+        }
+        self.ground = rows.map(|rows| GroundScale::new(rows, self.y.len())).transpose()?;
+        Ok(self)
+    }
+
+    /// Metres on the ground per map unit, a pair `[east, north]` a row, where they are known.
+    pub fn ground_scale(&self) -> Option<&[[f64; 2]]> {
+        self.ground.as_ref().map(GroundScale::rows)
+    }
+
     /// The height of the values, where it is known.
     pub fn height(&self) -> Option<&MapHeight> {
         self.height.as_ref()
@@ -333,6 +354,7 @@ impl GridMap {
             .with_sigma(sigma)?
             .with_correlation_m(self.correlation_m)?
             .with_error_model(error_model)?
+            .with_ground_scale(self.ground_scale().map(|g| g[rows].to_vec()))?
             .with_height(height)
     }
 }
@@ -366,7 +388,11 @@ impl Field for GridMap {
     }
 
     fn metres_per_unit(&self, y: f64) -> [f64; 2] {
-        if self.geographic { metres_per_degree(y) } else { [1.0, 1.0] }
+        match &self.ground {
+            Some(ground) => ground.at(&self.y, y),
+            None if self.geographic => metres_per_degree(y),
+            None => [1.0, 1.0],
+        }
     }
 
     fn wrap_x(&self, x: f64) -> f64 {

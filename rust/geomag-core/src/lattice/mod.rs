@@ -29,7 +29,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::track::Track;
 
 /// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores; in IEMA, which keeps 24 bytes of
@@ -157,7 +156,7 @@ pub fn place_track(field: &dyn Field, track: &Track, heading_deg: f64, scale: f6
     let (sin, cos) = heading_deg.to_radians().sin_cos();
     points
         .map(|p| {
-            let [east, north] = displacement_m(geographic, pivot, p);
+            let [east, north] = field.displacement_m(pivot, p);
             let moved = [scale * (cos * east + sin * north) - east, scale * (cos * north - sin * east) - north];
             let unit = field.metres_per_unit(p[1]);
             [p[0] + moved[0] / unit[0], p[1] + moved[1] / unit[1]]

@@ -3,7 +3,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::lattice::{OffsetLattice, Pivot, centroid};
 use crate::matching::grid_search::GridSearch;
 use crate::matching::similarity::Criterion;
@@ -52,7 +51,7 @@ impl LocalFit {
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
             }
-            let [e, n] = displacement_m(field.geographic(), pivot, *p);
+            let [e, n] = field.displacement_m(pivot, *p);
             let mut row = vec![east, north];
             if turning {
                 row.push(east * n - north * e);

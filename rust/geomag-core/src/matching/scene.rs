@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::grid::{GridMap, Interpolation};
 use crate::matching::closest::cell_size_m;
 use crate::track::Track;
@@ -165,9 +164,8 @@ impl<'a> Scene<'a> {
                 return Err(Error::invalid("weights", "at least one weight > 0", "only zeros"));
             }
         }
-        let geographic = first.map.geographic();
         let newest = track.newest();
-        let levers = (0..n).map(|k| displacement_m(geographic, newest, track.point(k))).collect();
+        let levers = (0..n).map(|k| first.map.displacement_m(newest, track.point(k))).collect();
         let placements = channels
             .iter()
             .map(|channel| {

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
-use crate::frame::displacement_m;
 use crate::grid::GridMap;
 use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
 use crate::matching::refine::answer;
@@ -193,7 +192,7 @@ impl SlidingState {
                 self.last = None;
                 return Ok(fix);
             }
-            let offset_m = displacement_m(map.geographic(), track.newest(), [fix.x, fix.y]);
+            let offset_m = map.displacement_m(track.newest(), [fix.x, fix.y]);
             let refined = Transform::similarity(-fix.heading_deg.to_radians(), fix.scale, offset_m);
             // Where contours are out of reach the refinement's own spread stands for the distance.
             let spread = fix.covariance_m2.map_or(f64::INFINITY, |c| c[0][0] + c[1][1]);
@@ -232,7 +231,7 @@ impl SlidingState {
             return Ok(offsets.into_iter().map(|shift| Transform { shift, ..Transform::IDENTITY }).collect());
         };
         // The same motion, told about the point that is now the newest.
-        let lever = displacement_m(map.geographic(), newest, track.newest());
+        let lever = map.displacement_m(newest, track.newest());
         let moved = t.apply(lever);
         Ok(vec![Transform { matrix: t.matrix, shift: [moved[0] - lever[0], moved[1] - lever[1]] }])
     }

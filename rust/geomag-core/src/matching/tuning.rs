@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_count, require_finite, require_not_negative, require_positive};
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::grid::GridMap;
 use crate::matching::contour::{ContourOptions, match_contour};
 use crate::matching::scene::Motion;
@@ -270,7 +269,7 @@ impl<'a> Bench<'a> {
             return Ok(None);
         }
         let truth = self.planned.point(picks[length - 1]);
-        let [east, north] = displacement_m(self.map.geographic(), truth, [fix.x, fix.y]);
+        let [east, north] = self.map.displacement_m(truth, [fix.x, fix.y]);
         let work = (length * fix.iterations) as f64;
         Ok(Some((east.hypot(north), work * self.options.cost_per_work)))
     }
@@ -409,7 +408,7 @@ fn draw(map: &GridMap, planned: &Track, options: &TuneOptions, number: u64) -> R
     let indicated = (0..planned.len())
         .map(|k| {
             let [x, y] = planned.point(k);
-            let [east, north] = error.displacement(displacement_m(map.geographic(), newest, [x, y]));
+            let [east, north] = error.displacement(map.displacement_m(newest, [x, y]));
             let [unit_east, unit_north] = map.metres_per_unit(y);
             [x + east / unit_east, y + north / unit_north]
         })

@@ -88,7 +88,8 @@ pub struct FeedbackStep {
 /// The horizontal error of an INS, followed from fix to fix.
 ///
 /// State: position error (east, north; true minus indicated, metres), velocity error (m/s), heading error (radians,
-/// clockwise). A heading error h turns the indicated velocity: `de/dt = dv_e + h v_n`, `dn/dt = dv_n - h v_e`. Velocity
+/// clockwise). A heading error h turns the indicated velocity: `de/dt = dv_e + h v_n`, `dn/dt = dv_n - h v_e`: the law of
+/// dead reckoning (odometer, log, airspeed); an INS's heading error acts through the Earth's rate and the turns. Velocity
 /// errors are a first-order Gauss-Markov process or a random walk, heading a random walk; position has noise of its own
 /// for what the model leaves out (Groves, section 14.2, reduced to the horizontal plane). A fix is tested by its
 /// normalised innovation and refused beyond the gate.

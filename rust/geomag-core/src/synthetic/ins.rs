@@ -25,7 +25,8 @@ const RADIUS_M: f64 = 6_371_000.0;
 /// | gyro drift e | R e (t - sin(w t) / w) | g e t^3 / 6 |
 ///
 /// Heading error turns every travelled step clockwise, scale error stretches it, and both add up along the path however
-/// it turns. Not for: errors over many hours (the Foucault and 24-hour oscillations are left out) or the vertical.
+/// it turns: an odometer's law. (An INS's heading error tilts its platform by the Earth's rate: geomag's Python package has
+/// those equations as `synthetic.indicate`.) Not for: errors over many hours (the Foucault and 24-hour oscillations are left out) or the vertical.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InsError {
@@ -35,7 +36,7 @@ pub struct InsError {
     pub position_m: [f64; 2],
     /// Initial velocity error, metres a second `[east, north]`.
     pub velocity_m_s: [f64; 2],
-    /// Heading error, degrees clockwise.
+    /// Heading error of dead reckoning, degrees clockwise (an odometer's law).
     pub heading_deg: f64,
     /// Growth of the heading error, degrees an hour.
     pub heading_rate_deg_h: f64,

@@ -108,7 +108,7 @@ fn predict_interruptible(
         let fix = match_interruptible(&[channel], &flown, options, monitor)?;
         if fix.ok() {
             fixed += 1;
-            let [east, north] = crate::frame::displacement_m(field.geographic(), planned.newest(), [fix.x, fix.y]);
+            let [east, north] = field.displacement_m(planned.newest(), [fix.x, fix.y]);
             wrong += usize::from(east.hypot(north) > problem.tolerance_m);
         }
     }

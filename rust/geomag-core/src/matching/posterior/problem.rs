@@ -13,7 +13,6 @@ use super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::frame::displacement_m;
 use crate::monitor::Monitor;
 use crate::track::Track;
 
@@ -178,11 +177,11 @@ impl<'a> Problem<'a> {
         let scale_m = field.metres_per_unit(middle);
         let cell = field.spacing();
         let newest = positions[n - 1];
-        let away: Vec<[f64; 2]> = positions.iter().map(|p| displacement_m(field.geographic(), newest, *p)).collect();
+        let away: Vec<[f64; 2]> = positions.iter().map(|p| field.displacement_m(newest, *p)).collect();
         let spacing_m = positions
             .windows(2)
             .map(|w| {
-                let [e, north] = displacement_m(field.geographic(), w[0], w[1]);
+                let [e, north] = field.displacement_m(w[0], w[1]);
                 e.hypot(north)
             })
             .sum::<f64>()

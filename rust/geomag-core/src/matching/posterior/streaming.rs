@@ -18,7 +18,6 @@ use super::search::Lattice;
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
-use crate::frame::displacement_m;
 use crate::state;
 use crate::track::Track;
 
@@ -364,7 +363,7 @@ impl PosteriorMatcher {
         let (Some(&newest_x), Some(&newest_y)) = (s.x.last(), s.y.last()) else { return Ok(()) };
         let newest = [newest_x, newest_y];
         let from_newest = |(x, y): (&f64, &f64)| {
-            let [east, north] = displacement_m(self.field.geographic(), newest, [*x, *y]);
+            let [east, north] = self.field.displacement_m(newest, [*x, *y]);
             east.hypot(north)
         };
         let lever_m = s.x.iter().zip(&s.y).map(from_newest).fold(0.0, f64::max);
@@ -463,7 +462,7 @@ impl PosteriorMatcher {
             return;
         }
         let o = &s.options;
-        let [east, north] = displacement_m(self.field.geographic(), [s.x[n - 2], s.y[n - 2]], [s.x[n - 1], s.y[n - 1]]);
+        let [east, north] = self.field.displacement_m([s.x[n - 2], s.y[n - 2]], [s.x[n - 1], s.y[n - 1]]);
         let turned = east.hypot(north) * o.heading_sigma_deg.to_radians().hypot(o.scale_sigma);
         // The drift is that over the samples held, however many these are.
         s.moved_m += MOVED * turned.hypot(o.drift_sigma_m / (n - 1) as f64);

@@ -1,0 +1,203 @@
+"""Logs of a flight: what the INS indicated and what was read, from a file or a pipe.
+
+Text with a header line: time, position and reading, and where there are, velocity and heading of the INS (without them the navigator takes differences of
+positions) and the true position (for tests). A reading that is missing is an empty field or `nan`.
+
+| column | names that are known |
+|---|---|
+| time, seconds | time_s, time, t, tt, seconds |
+| x | longitude, lon, x, easting, east, ins_lon |
+| y | latitude, lat, y, northing, north, ins_lat |
+| reading | value, total_field_anomaly_nt, anomaly, magnetic, gravity, mag, reading |
+| velocity, m/s | velocity_east_m_s, ve, v_east, ins_ve and velocity_north_m_s, vn, v_north, ins_vn |
+| heading, degrees | heading_deg, heading, yaw_deg, yaw, ins_yaw |
+| truth | true_x, true_longitude, true_lon and true_y, true_latitude, true_lat |
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from geomag._errors import InvalidInputError, MissingFileError, ReadError, UnknownVariableError
+
+Array = npt.NDArray[np.float64]
+
+#: Names of the columns, the first of them those that `write_flight_log` writes.
+NAMES: dict[str, tuple[str, ...]] = {
+    "time_s": ("time_s", "time", "t", "tt", "seconds"),
+    "x": ("longitude", "lon", "x", "easting", "east", "ins_lon"),
+    "y": ("latitude", "lat", "y", "northing", "north", "ins_lat"),
+    "value": ("value", "total_field_anomaly_nt", "anomaly", "magnetic", "gravity", "mag", "reading"),
+    "velocity_east": ("velocity_east_m_s", "ve", "v_east", "ins_ve"),
+    "velocity_north": ("velocity_north_m_s", "vn", "v_north", "ins_vn"),
+    "heading": ("heading_deg", "heading", "yaw_deg", "yaw", "ins_yaw"),
+    "true_x": ("true_x", "true_longitude", "true_lon"),
+    "true_y": ("true_y", "true_latitude", "true_lat"),
+}
+NEEDED = ("time_s", "x", "y", "value")
+
+
+@dataclass(frozen=True)
+class LogRow:
+    """One line of a log; NaN for a reading that is missing, None for what the log does not have."""
+
+    time_s: float
+    x: float
+    y: float
+    value: float
+    velocity_m_s: tuple[float, float] | None = None
+    heading_deg: float | None = None
+    truth: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class FlightLog:
+    """A whole log: shapes (n,), `velocity_m_s` (n, 2) east-north, `truth` (n, 2) map units; None for what the log does not have."""
+
+    time_s: Array
+    x: Array
+    y: Array
+    readings: Array
+    velocity_m_s: Array | None = None
+    heading_deg: Array | None = None
+    truth: Array | None = None
+
+
+def _columns(names: list[str], asked: Mapping[str, str | None], where: str) -> dict[str, int]:
+    known = {name.strip().strip('"').lower(): k for k, name in reversed(list(enumerate(names)))}
+    found: dict[str, int] = {}
+    for what, usual in NAMES.items():
+        name = asked.get(what)
+        if name is not None and name.lower() not in known:
+            raise UnknownVariableError(f"{where}: needed a column among {', '.join(names)}, got '{name}'")
+        at = next((known[n] for n in ((name.lower(),) if name else usual) if n in known), None)
+        if at is not None:
+            found[what] = at
+        elif what in NEEDED:
+            raise UnknownVariableError(
+                f"{where}: needed a column for {what} ({', '.join(usual)}), got {', '.join(names)}"
+            )
+    return found
+
+
+def read_rows(lines: Iterable[str], *, where: str = "log", **columns: str | None) -> Iterator[LogRow]:
+    """Rows of a log, one at a time, as they come: for a pipe.
+
+    `columns` name those that are called otherwise: time_s, x, y, value, velocity_east, velocity_north, heading, true_x, true_y.
+
+    Raises `UnknownVariableError` for a header without what is needed, `InvalidInputError` naming the line that is not numbers, or has no time or position.
+
+    Examples
+    --------
+    >>> from geomag.flight_log import read_rows
+    >>> rows = list(read_rows(["time_s,lon,lat,mag,ve,vn", "0,16.1,47.2,31.5,70,0", "1,16.101,47.2,,70,0"]))
+    >>> rows[0].velocity_m_s, rows[1].value
+    ((70.0, 0.0), nan)
+    """
+    at: dict[str, int] | None = None
+    width = 0
+    for number, parts in enumerate(csv.reader(_plain(lines)), start=1):
+        if not parts or parts[0].startswith("#"):
+            continue
+        if at is None:
+            at, width = _columns(parts, columns, where), len(parts)
+            continue
+        if len(parts) != width:
+            raise InvalidInputError(
+                f"{where}, line {number}: needed {width} columns as in the header, got {len(parts)}"
+            )
+        numbers = {what: _number(parts[k], f"{where}, line {number}: {what}") for what, k in at.items()}
+        for what in ("time_s", "x", "y"):
+            if not math.isfinite(numbers[what]):
+                raise InvalidInputError(f"{where}, line {number}: needed a finite {what}, got {parts[at[what]]!r}")
+        velocity = (numbers.get("velocity_east", math.nan), numbers.get("velocity_north", math.nan))
+        truth = (numbers.get("true_x", math.nan), numbers.get("true_y", math.nan))
+        heading = numbers.get("heading", math.nan)
+        yield LogRow(
+            numbers["time_s"],
+            numbers["x"],
+            numbers["y"],
+            numbers["value"],
+            velocity if all(map(math.isfinite, velocity)) else None,
+            heading if math.isfinite(heading) else None,
+            truth if all(map(math.isfinite, truth)) else None,
+        )
+
+
+def _plain(lines: Iterable[str]) -> Iterator[str]:
+    for line in lines:
+        text = line.lstrip("\ufeff")
+        yield text.replace(";", ",").replace("\t", ",")
+
+
+def _number(text: str, where: str) -> float:
+    if not text.strip():
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise InvalidInputError(f"{where}: needed a number, got {text!r}") from error
+    if math.isinf(value):
+        raise InvalidInputError(f"{where}: needed a finite number or none, got {text!r}")
+    return value
+
+
+def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
+    r"""Read a log from a text file (compressed with gzip or not); `columns` as for `read_rows`.
+
+    Raises `MissingFileError`, `ReadError`, `UnknownVariableError` and `InvalidInputError`; a log whose velocity or heading is missing in some rows is taken as one without.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from geomag.flight_log import read_flight_log
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder, "log.csv")
+    ...     _ = path.write_text("time_s,x,y,value,heading_deg\\n0,0,0,31.5,90\\n1,70,0,nan,90\\n")
+    ...     log = read_flight_log(path)
+    >>> log.readings, log.heading_deg, log.velocity_m_s
+    (array([31.5,  nan]), array([90., 90.]), None)
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise MissingFileError(f"{file}: needed a file, found none")
+    try:
+        with gzip.open(file, "rt", newline="") if file.suffix == ".gz" else file.open(newline="") as lines:
+            rows = list(read_rows(lines, where=str(path), **columns))
+    except (OSError, UnicodeDecodeError, csv.Error, EOFError) as error:
+        raise ReadError(f"{file}: needed a readable log, got: {error}") from error
+    if not rows:
+        raise ReadError(f"{file}: needed a header and at least one row, got none")
+    time, x, y, value = (
+        np.array([getattr(r, name) for r in rows], dtype=np.float64) for name in ("time_s", "x", "y", "value")
+    )
+
+    def whole(name: str) -> Array | None:
+        parts = [getattr(r, name) for r in rows]
+        return None if any(p is None for p in parts) else np.array(parts, dtype=np.float64)
+
+    return FlightLog(time, x, y, value, whole("velocity_m_s"), whole("heading_deg"), whole("truth"))
+
+
+def write_flight_log(path: str | Path, log: FlightLog) -> None:
+    """Write a log that `read_flight_log` reads, full precision."""
+    columns: list[tuple[str, Array]] = [("time_s", log.time_s), ("x", log.x), ("y", log.y), ("value", log.readings)]
+    if log.velocity_m_s is not None:
+        columns += [("velocity_east_m_s", log.velocity_m_s[:, 0]), ("velocity_north_m_s", log.velocity_m_s[:, 1])]
+    if log.heading_deg is not None:
+        columns.append(("heading_deg", log.heading_deg))
+    if log.truth is not None:
+        columns += [("true_x", log.truth[:, 0]), ("true_y", log.truth[:, 1])]
+    with Path(path).open("w", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow([name for name, _ in columns])
+        for row in zip(*(c for _, c in columns), strict=True):
+            writer.writerow(["" if math.isnan(v) else repr(float(v)) for v in row])
