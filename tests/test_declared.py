@@ -16,7 +16,9 @@ X = np.arange(0.0, 101_000.0, 1000.0)
 
 def field(x: Any, y: Any) -> Any:
     x, y = np.asarray(x) / 1000, np.asarray(y) / 1000
-    return 70 * np.sin(1.1 * x + 0.3) * np.cos(0.8 * y) + 50 * np.sin(0.9 * y + 0.5 * x) + 30 * np.cos(1.4 * x - 1.2 * y)
+    return (
+        70 * np.sin(1.1 * x + 0.3) * np.cos(0.8 * y) + 50 * np.sin(0.9 * y + 0.5 * x) + 30 * np.cos(1.4 * x - 1.2 * y)
+    )
 
 
 GRID = geomag.GridMap(field(*np.meshgrid(X, X)), X, X, sigma=0.0)
@@ -53,7 +55,8 @@ def test_interpolation_is_an_option_of_all_of_them() -> None:
         geomag.match_posterior_many(GRID, [track], sigma=0.3, interpolation="bicubic", **SETTING)[0],
         geomag.PosteriorMatcher(GRID, sigma=0.3, interpolation="bicubic", **SETTING).run(track),
     ):
-        assert fix.ok and np.hypot(*np.subtract(fix.offset_m, offset)) < 200
+        assert fix.ok
+        assert np.hypot(*np.subtract(fix.offset_m, offset)) < 200
     assert geomag.predict_many(GRID, [track], sigma=0.3, interpolation="bicubic", flights=2, **SETTING)[0] is not None
     with pytest.raises(geomag.InvalidInputError, match="bilinear"):
         geomag.match_posterior(GRID, track, interpolation="nearest", **SETTING)
@@ -71,7 +74,8 @@ def test_the_spline_of_the_stress_tables_is_the_spline() -> None:
 
 def test_a_stated_error_has_a_correlation_that_can_be_said() -> None:
     grid = geomag.GridMap(GRID.values, X, X, sigma=4.0, correlation_m=0.0)
-    assert grid.correlation_m == 0.0 and geomag.GridMap(GRID.values, X, X, sigma=4.0).correlation_m is None
+    assert grid.correlation_m == 0.0
+    assert geomag.GridMap(GRID.values, X, X, sigma=4.0).correlation_m is None
     assert pickle.loads(pickle.dumps(grid)).correlation_m == 0.0
     tracks = [flight(grid.sample, 100, 4.0, seed=k)[0] for k in range(20)]
     assert sum(f.ok for f in geomag.match_posterior_many(grid, tracks, sigma=0.5, **SETTING)) > 10
@@ -99,7 +103,8 @@ def test_a_threshold_is_kept_with_the_map() -> None:
     grid = GRID.with_error_model(**model, misfit_threshold=9.0)
     assert grid.error_model["misfit_threshold"] == 9.0
     again = GRID.with_error_model(**grid.error_model)
-    assert again.error_model == grid.error_model and pickle.loads(pickle.dumps(again)).error_model == grid.error_model
+    assert again.error_model == grid.error_model
+    assert pickle.loads(pickle.dumps(again)).error_model == grid.error_model
     assert "misfit_threshold" not in GRID.with_error_model(**model).error_model
     with pytest.raises(geomag.InvalidInputError, match="misfit_threshold"):
         GRID.with_error_model(**model, misfit_threshold=-1.0)
@@ -109,5 +114,8 @@ def test_short_stress_table_holds() -> None:
     rows = right_maps(cells_m=[1000], shortest_cells=[4], sigmas=[0.3], samples=[40], flights=60)
     assert [r.name.split(", ")[2] for r in rows] == ["bilinear", "bicubic", "spline", "field"]
     for row in rows:
-        assert row.fixed > 30 and row.consistent and row.refused <= 2, row
-        assert row.mean_square < 2 + 4 * 2 / np.sqrt(row.fixed) and row.beyond < 0.06, row
+        assert row.fixed > 30, row
+        assert row.consistent, row
+        assert row.refused <= 2, row
+        assert row.mean_square < 2 + 4 * 2 / np.sqrt(row.fixed), row
+        assert row.beyond < 0.06, row

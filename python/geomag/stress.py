@@ -152,9 +152,7 @@ def _path(start: Array, course: float, spacing_m: float, samples: int, turn_deg:
     return start[0] + x - x.mean(), start[1] + y - y.mean()
 
 
-def _match(
-    grid: GridMap, tracks: list[Track], streaming: bool, options: dict[str, Any]
-) -> list[Fix]:
+def _match(grid: GridMap, tracks: list[Track], streaming: bool, options: dict[str, Any]) -> list[Fix]:
     if not streaming:
         return match_posterior_many(grid, tracks, **options)
     fixes = []

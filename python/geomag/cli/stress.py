@@ -12,14 +12,21 @@ from geomag.cli._checks import output, positive
 from geomag.io import read_grid
 
 
-@app.command(epilog="Example: geomag stress --short; geomag stress map.nc --half-width-m 1000 --tolerance-m 200 --spacing-m 200")
+@app.command(
+    epilog="Example: geomag stress --short; geomag stress map.nc --half-width-m 1000 --tolerance-m 200 --spacing-m 200"
+)
 def stress(
     source: Annotated[
-        Path | None, typer.Argument(help="Map over which heights and steps of the bias are flown; without one, right maps.")
+        Path | None,
+        typer.Argument(help="Map over which heights and steps of the bias are flown; without one, right maps."),
     ] = None,
-    half_width_m: Annotated[float, typer.Option(callback=positive, help="Bound of the INS error, m (with a map).")] = 1000,
+    half_width_m: Annotated[
+        float, typer.Option(callback=positive, help="Bound of the INS error, m (with a map).")
+    ] = 1000,
     tolerance_m: Annotated[float, typer.Option(callback=positive, help="Error beyond which a fix is wrong, m.")] = 200,
-    spacing_m: Annotated[float, typer.Option(callback=positive, help="Distance between samples, m (with a map).")] = 200,
+    spacing_m: Annotated[
+        float, typer.Option(callback=positive, help="Distance between samples, m (with a map).")
+    ] = 200,
     flights: Annotated[int, typer.Option(min=1, help="Flights a row.")] = 200,
     short: Annotated[bool, typer.Option(help="A few rows only.")] = False,
     streaming: Annotated[bool, typer.Option(help="Sample by sample, up to the first fix (right maps).")] = False,

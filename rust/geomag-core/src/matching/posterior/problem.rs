@@ -317,6 +317,18 @@ impl<'a> Problem<'a> {
             .collect()
     }
 
+    /// The surface through the nodes that was named, where there are several: between the places of a coarse lattice they are alike.
+    pub fn named(&self) -> Vec<Scope> {
+        let mut scopes = self.whole();
+        for (scope, channel) in scopes.iter_mut().zip(&self.channels) {
+            let levels = &channel.noise.levels;
+            if channel.noise.covered {
+                scope.levels = 0..levels.iter().take_while(|l| l.surface == levels[0].surface).count();
+            }
+        }
+        scopes
+    }
+
     /// The part of a scope over which bounds are taken at the first stage: the first level where it stands for all.
     pub fn covered(&self, scopes: &[Scope]) -> Vec<Scope> {
         let first = |(channel, scope): (&Prepared, &Scope)| {

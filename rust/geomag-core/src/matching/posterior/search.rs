@@ -22,6 +22,8 @@ const RIVALS: usize = 4;
 const RIVAL: f64 = 6.0;
 /// Cells that are left from which a posterior may be wider than the tolerance.
 const BROAD: usize = 100;
+/// Cells above which a posterior is not refined any further for a rival's sake.
+const MANY: usize = 400;
 /// Cells from which the reference place is sought.
 const STARTS: usize = 8;
 /// Greatest lattice step, in cells, at which the error level of an unknown map is judged.
@@ -71,7 +73,7 @@ impl Problem<'_> {
         coarse: bool,
     ) -> (Posterior, Option<Vec<[f64; 2]>>) {
         if coarse && self.options.step.is_none() {
-            let posterior = self.density(offsets.clone(), step, &self.whole());
+            let posterior = self.density(offsets.clone(), step, &self.named());
             if self.hopeless(&posterior, 1.0) {
                 return (posterior, None);
             }
@@ -153,9 +155,10 @@ impl Problem<'_> {
         }
         let mut posterior = self.density(offsets, step, &scopes);
         // Where the mode turned out narrower than the reference said.
-        while !self.fine_enough(&posterior) {
+        while let Some(coarse) = self.too_coarse(&posterior) {
             let kept = posterior.survivors(PRUNE, SURVIVORS);
-            if kept.is_empty() {
+            // A rival that is narrower than a broad answer is not worth a fine lattice over all of that.
+            if kept.is_empty() || coarse == Coarse::Rival && kept.len() > MANY {
                 break;
             }
             let finer = posterior.step.map(|s| 0.5 * s);
@@ -364,9 +367,10 @@ impl Problem<'_> {
         }
     }
 
-    /// Whether a finer lattice would change nothing that matters: whether this one resolves every mode that carries mass.
-    fn fine_enough(&self, posterior: &Posterior) -> bool {
-        let Some(best) = posterior.mode() else { return true };
+    /// Which of the modes that carry mass this lattice does not resolve, the answer's own before any other; `None` where a finer one
+    /// would change nothing that matters.
+    fn too_coarse(&self, posterior: &Posterior) -> Option<Coarse> {
+        let best = posterior.mode()?;
         let tolerance2 = self.tolerance_m * self.tolerance_m;
         let mut left: Vec<usize> = (0..posterior.offsets.len())
             .filter(|&i| posterior.log_p[i] > posterior.log_p[best] - 2.0 * RIVAL)
@@ -393,7 +397,7 @@ impl Problem<'_> {
             let least = 0.5 * (dxx + dyy) - (0.25 * (dxx - dyy).powi(2) + dxy * dxy).sqrt();
             let spread = least.max(0.0).sqrt();
             if !self.resolves(posterior.step, spread.max(posterior.blur_m[top])) {
-                return false;
+                return Some(if top == best { Coarse::Answer } else { Coarse::Rival });
             }
             let next = left.iter().copied().reduce(|a, b| if posterior.log_p[b] > posterior.log_p[a] { b } else { a });
             match next {
@@ -401,8 +405,15 @@ impl Problem<'_> {
                 _ => break,
             }
         }
-        true
+        None
     }
+}
+
+/// Whose mode a lattice does not resolve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Coarse {
+    Answer,
+    Rival,
 }
 
 /// The offsets whose `merit` is above minus `depth`, the best `most` where there are more, in their order.
