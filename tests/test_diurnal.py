@@ -58,6 +58,13 @@ def test_the_rest_grows_with_distance_and_is_of_the_right_size():
     assert 0.3 * sigma < much < 3 * sigma
 
 
+def test_the_rest_as_drift_and_as_walk():
+    off = base().remove(DAY[300:1500:7], 22.0, 47.0, np.zeros(len(DAY[300:1500:7])))
+    # Over a short time both say the same, over a long one the drift ends at the difference of two independent values.
+    assert off.drift_nt(1.0) == pytest.approx(off.walk_nt_sqrt_s(), rel=0.01)
+    assert off.drift_nt(1e6) == pytest.approx(np.sqrt(2) * off.sigma_nt)
+
+
 def test_gaps_and_ends_are_refused():
     values = 48_000.0 + daily(10.0)
     values[600:640] = np.nan

@@ -118,6 +118,20 @@ def test_words_are_no_coordinates():
         geomag.GridMap.from_xarray(array, geographic=False)
 
 
+def test_values_come_in_nanotesla_or_milligal():
+    array = projected("m", "m")
+    for unit, ours, factor in (("uT", "nT", 1e3), ("gamma", "nT", 1.0), ("m/s2", "mGal", 1e5), ("counts", "counts", 1.0)):
+        array.attrs["units"] = unit
+        grid = geomag.GridMap.from_xarray(array)
+        assert (grid.units, grid.values.max()) == (ours, factor)
+
+
+def test_degrees_to_the_west_are_refused():
+    array = projected("degrees_west", "degrees_north").rename(easting="longitude", northing="latitude")
+    with pytest.raises(geomag.InvalidInputError, match="to the east"):
+        geomag.GridMap.from_xarray(array)
+
+
 def test_radians_are_no_degrees():
     array = projected("radian", "radian").rename(easting="longitude", northing="latitude")
     with pytest.raises(geomag.InvalidInputError, match="radian"):
@@ -192,10 +206,14 @@ def test_scale_offset_and_unit_of_a_raster(tmp_path):
 
 
 def test_unknown_units_are_asked_for():
+    """Neither the order of dimensions nor the size of coordinates is a guess."""
     array = xr.DataArray(np.eye(3), coords={"b": [0.0, 1, 2], "a": [5.0, 6, 7]}, dims=("b", "a"))
+    with pytest.raises(geomag.InvalidInputError, match="which of its dimensions b, a is x"):
+        geomag.GridMap.from_xarray(array, geographic=True)
     with pytest.raises(geomag.InvalidInputError, match="geographic=True or geographic=False"):
-        geomag.GridMap.from_xarray(array)
-    assert geomag.GridMap.from_xarray(array, geographic=True).geographic
+        geomag.GridMap.from_xarray(array, x="a")
+    assert geomag.GridMap.from_xarray(array, x="b", geographic=True).x.tolist() == [0.0, 1.0, 2.0]
+    assert geomag.GridMap.from_xarray(array.rename(b="y", a="x"), geographic=True).geographic
 
 
 @pytest.mark.parametrize("driver", ["GTiff", "GSBG", "GSAG", "GS7BG"])
@@ -336,7 +354,7 @@ def test_bad_tracks(tmp_path):
     text = table().astype({"Longitude": object})
     text.loc[2, "Longitude"] = "east"
     text.to_csv(path, index=False)
-    with pytest.raises(geomag.InvalidInputError, match="numbers in column 'Longitude'"):
+    with pytest.raises(geomag.InvalidInputError, match="column 'Longitude': needed numbers, got 'east' in line 4"):
         geomag.read_track(path)
     path.write_text("longitude,latitude,value\n")
     with pytest.raises(geomag.ReadError, match="at least one row"):

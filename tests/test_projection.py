@@ -54,6 +54,17 @@ def test_a_log_in_degrees_on_a_utm_map(match):
     assert fix.x > 4e5
 
 
+def test_streaming_matchers_turn_a_whole_track_too():
+    track = utm_track()
+    iema = geomag.Iema(utm_map(), sigma=2.0, half_width=(1000.0, 1000.0), tolerance=(300.0, 300.0))
+    posterior = geomag.PosteriorMatcher(utm_map(), half_width=1000.0, sigma=1.0, tolerance_m=100.0)
+    for matcher in (iema, posterior):
+        with pytest.warns(AlignedWarning):
+            fix = matcher.run(track)
+        assert fix.status == "fixed"
+        assert np.hypot(fix.offset_m[0] + 400, fix.offset_m[1] - 300) < 300
+
+
 def test_degrees_on_local_metres_are_refused_by_name():
     for call in (
         lambda g, t: geomag.match_posterior(g, t, half_width=1000.0, sigma=1.0, tolerance_m=100.0),

@@ -168,7 +168,19 @@ def test_stream_answers_line_by_line(scene):
     folder, grid, flight = scene
     track = flight.track
     lines = [f"{t},{x},{y},{v}" for t, x, y, v in zip(track.time_s, track.x, track.y, track.values, strict=True)]
-    options = ["--sigma", "15", "--half-width-m", "2000", "--tolerance-m", "800", "--max-misses", "3", "--no-restart"]
+    options = [
+        "--method",
+        "iema",
+        "--sigma",
+        "15",
+        "--half-width-m",
+        "2000",
+        "--tolerance-m",
+        "800",
+        "--max-misses",
+        "3",
+        "--no-restart",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-m", "geomag", "stream", "map.nc", *options],
         cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
@@ -301,3 +313,29 @@ def test_good_places_are_dark_for_every_method():
         dark[least] = "small" if colours[0] < colours[1] else "large"
     assert dark == {True: "small", False: "large"}
     assert set(LARGEST_IS_BEST) == {Method.prod, Method.ncc, Method.posterior}
+
+
+def test_lines_are_cut_at_the_date_line():
+    line = np.array([[179.5, 10.0], [-179.5, 11.0], [-179.0, 12.0], [179.0, 14.0]])
+    (found,) = exchange.geojson({"log": line})["features"]
+    assert found["geometry"] == {
+        "type": "MultiLineString",
+        "coordinates": [
+            [[179.5, 10.0], [180.0, 10.5]],
+            [[-180.0, 10.5], [-179.5, 11.0], [-179.0, 12.0], [-180.0, 13.0]],
+            [[180.0, 13.0], [179.0, 14.0]],
+        ],
+    }
+    whole = exchange.geojson({"log": line + [180.0, 0.0]})["features"][0]["geometry"]
+    assert whole["type"] == "LineString"
+
+
+def test_a_geopackage_is_written_anew_where_asked(tmp_path):
+    geopandas = pytest.importorskip("geopandas", reason="needs the extra 'geo'")
+    path = tmp_path / "a.gpkg"
+    exchange.write_geopackage(path, {"a": geomag.Track([16.0, 16.1], [47.0, 47.1], [1.0, 2.0])})
+    line = {"b": np.array([[16.0, 47.0], [16.2, 47.0]])}
+    exchange.write_geopackage(path, line)
+    assert set(geopandas.list_layers(path).name) == {"tracks", "samples"}
+    exchange.write_geopackage(path, line, overwrite=True)
+    assert set(geopandas.list_layers(path).name) == {"tracks"}

@@ -78,8 +78,8 @@ def test_nmea_gives_the_samples():
     assert (first.x, first.y, first.value) == pytest.approx((-(11 + 31 / 60), 48 + 7.038 / 60, 48123.5))
     assert first.time_s == pytest.approx(12 * 3600 + 30.5)
     assert (second.x, second.y) == pytest.approx((151 + 12.6 / 60, -(33 + 51.65 / 60)))
-    with pytest.raises(geomag.InvalidInputError, match="line 1: needed checksum"):
-        list(read_nmea(["$PGMAG,1.0*00"]))
+    with pytest.warns(geomag.DataWarning, match="line 1 is passed over.*needed checksum"):
+        assert list(read_nmea(["$PGMAG,1.0*00"])) == []
 
 
 @pytest.mark.parametrize(
@@ -116,9 +116,21 @@ def test_a_void_position_is_none(void):
         "PGMAG",
     ],
 )
-def test_a_sentence_that_cannot_be_is_refused_by_line(wrong):
-    with pytest.raises(geomag.InvalidInputError, match="line 2: needed an NMEA sentence"):
-        list(read_nmea([sentence(GGA), sentence(wrong)]))
+def test_a_sentence_that_cannot_be_is_passed_over_and_told(wrong):
+    """The stream goes on; a reading after a garbled position is not laid to the old one."""
+    lines = [sentence(s) for s in (GGA, wrong, "PGMAG,7", RMC, "PGMAG,8")]
+    with pytest.warns(geomag.DataWarning, match="line 2 is passed over: needed an NMEA sentence"):
+        found = [s.value for s in read_nmea(lines)]
+    assert found == ([7.0, 8.0] if wrong.startswith("PGMAG") else [8.0])
+
+
+def test_times_of_day_go_on_over_midnight():
+    late = GGA.replace("120030.50", "235959.00")
+    lines = [sentence(s) for s in (late, "PGMAG,1", GGA.replace("120030.50", "000000.00"), "PGMAG,2")]
+    assert [s.time_s for s in read_nmea(lines)] == [86399.0, 86400.0]
+    clock = ["time,lon,lat,value", "23:59:59.5,10,45,1", "00:00:00.0,10,45,2", "2026-01-01,10,45"]
+    with pytest.warns(geomag.DataWarning, match="line 4"):
+        assert [s.time_s for s in read_csv(clock)] == [86399.5, 86400.0]
 
 
 @pytest.fixture
@@ -129,43 +141,60 @@ def folder(tmp_path, scene):
     return tmp_path
 
 
-def test_noise_on_the_line_is_refused_by_line(folder):
+def test_noise_on_the_line_is_passed_over_and_told(folder):
     done = subprocess.run(
         [sys.executable, "-m", "geomag", "stream", "map.nc"],
         cwd=folder, input=b"9000,7000,5\n9000,\xff,5\n", capture_output=True, check=False,
         env={**os.environ, "PYTHONIOENCODING": "utf-8:strict"},
     )  # fmt: skip
-    assert done.returncode == 1
+    assert done.returncode == 3
     assert b"line 2" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+    assert len(done.stdout.splitlines()) == 1
 
 
-def test_csv_refuses_by_line():
+def test_csv_lines():
     assert [s.value for s in read_csv(["x,y,value", "1,2,3", "# note", "1,2,4"])] == [3.0, 4.0]
     assert list(read_csv(["0,1,2,4"])) == [Sample(1.0, 2.0, 4.0, 0.0)]
-    for bad in ("1,2", "1,2,nan", "a,b,c", "1,2,3,inf"):
-        with pytest.raises(geomag.InvalidInputError, match="line 2"):
-            list(read_csv(["1,2,3", bad]))
+    assert list(read_csv(["1,5;2,5;3,5"])) == [Sample(1.5, 2.5, 3.5)]
+    assert list(read_csv(["1,5 2,5 3,5"])) == [Sample(1.5, 2.5, 3.5)]
+
+
+@pytest.mark.parametrize(
+    "bad", ["1,2", "1,2,nan", "1,2,*", "1,2,", "a,b,c", "1,2,3,inf", "1,2,99999", "1,2,-1e32", "1_0,2,3", "\x00\x01"]
+)
+def test_a_bad_line_is_passed_over_and_told(bad):
+    with pytest.warns(geomag.DataWarning, match="line 2 is passed over"):
+        assert [s.value for s in read_csv(["1,2,3", bad, "1,2,4"])] == [3.0, 4.0]
 
 
 def test_a_csv_header_may_follow_comments_and_is_not_a_spoilt_sample():
     assert list(read_csv(["# log", "", "x,y,value", "1,2,3"])) == [Sample(1.0, 2.0, 3.0)]
     assert list(read_csv(["\ufeff1,2,3"])) == [Sample(1.0, 2.0, 3.0)]
     for spoilt in (["1,2,3x"], ["x,y,value", "x,y,value"]):
-        with pytest.raises(geomag.InvalidInputError, match=f"line {len(spoilt)}"):
-            list(read_csv(spoilt))
+        with pytest.warns(geomag.DataWarning, match=f"line {len(spoilt)}"):
+            assert list(read_csv(spoilt)) == []
 
 
 def test_a_csv_header_names_the_columns():
     assert list(read_csv(["x,y,value,time_s", "1,2,3,4"])) == [Sample(1.0, 2.0, 3.0, 4.0)]
     assert list(read_csv(["Latitude;Longitude;tmi_1", "1;2;3"])) == [Sample(2.0, 1.0, 3.0)]
     assert list(read_csv(["line,x,y,field", "7,1,2,3"])) == [Sample(1.0, 2.0, 3.0)]
-    assert list(read_csv(["a,b,c", "1,2,3"])) == [Sample(1.0, 2.0, 3.0)]
-    for header in ("x,value,height", "x,y,one,two", "a,b", "a,b,c,d,e"):
+    assert list(read_csv(["X_km,Y_km,mag_uT,time_us", "1,2,3,4000000"])) == [Sample(1000.0, 2000.0, 3000.0, 4.0)]
+    for header in (
+        "x,value,height",
+        "x,y,one,two",
+        "a,b",
+        "a,b,c",
+        "a,b,c,d,e",
+        "x,y,z",
+        "lon,lat,anomaly,tmi",
+        "lon,longitude,lat,mag",
+    ):
         with pytest.raises(geomag.InvalidInputError, match="line 1: needed columns"):
             list(read_csv([header, "1,2,3"]))
-    with pytest.raises(geomag.InvalidInputError, match="line 2: needed 4 columns"):
-        list(read_csv(["x,y,value,time_s", "1,2,3"]))
+    with pytest.warns(geomag.DataWarning, match="line 2.*needed 4 columns"):
+        assert list(read_csv(["x,y,value,time_s", "1,2,3"])) == []
 
 
 def test_a_table_of_a_track_streams_as_the_track(scene):

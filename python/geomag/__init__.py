@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from geomag._errors import (
     CandidateLimitError,
+    DataWarning,
     GeomagError,
     InvalidInputError,
     MissingDependencyError,
@@ -30,6 +31,7 @@ from geomag._errors import (
     ReadError,
     ShapeError,
     StateError,
+    TimeError,
     TooFewSamplesError,
     UnknownVariableError,
 )
@@ -81,6 +83,7 @@ __all__ = [
     "CandidateLimitError",
     "ChosenSamples",
     "CorrectedPosition",
+    "DataWarning",
     "DeltaModulator",
     "ExtendedKalmanFilter",
     "FeedbackStep",
@@ -115,6 +118,7 @@ __all__ = [
     "ShapeError",
     "SlidingContour",
     "StateError",
+    "TimeError",
     "TooFewSamplesError",
     "Track",
     "UnknownVariableError",

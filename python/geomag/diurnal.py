@@ -192,6 +192,17 @@ class Removed(NamedTuple):
     correlation_time_s: float
     """Time over which the rest stays alike (to 1/e), seconds."""
 
+    def drift_nt(self, span_s: float) -> float:
+        """Standard deviation of what the rest changes by over a time, nT: the drift of the bias over a track so long.
+
+        sigma sqrt(2 (1 - exp(-span / time))), of a process with that standard deviation and correlation time.
+        """
+        return self.sigma_nt * math.sqrt(2.0 * -math.expm1(-abs(span_s) / self.correlation_time_s))
+
+    def walk_nt_sqrt_s(self) -> float:
+        """The same as a random walk, nT per root second: what a filter's bias walks by within the correlation time."""
+        return self.sigma_nt * math.sqrt(2.0 / self.correlation_time_s)
+
 
 @dataclass(frozen=True)
 class BaseRecord:

@@ -65,6 +65,25 @@ def _to_degrees(x: NDArray[Any], y: NDArray[Any], crs: str | None) -> tuple[NDAr
     return np.asarray(longitude), np.asarray(latitude)
 
 
+def _cut(longitude: NDArray[Any], latitude: NDArray[Any]) -> list[list[list[float]]]:
+    """A line in pieces that do not cross the date line (RFC 7946, 3.1.9): they end and begin on it."""
+
+    def place(x: float, y: float) -> list[float]:
+        return [round(float(x), 9), round(float(y), 9)]
+
+    pieces = [[place(longitude[0], latitude[0])]]
+    for k in range(1, len(longitude)):
+        x0, x1, y0, y1 = (float(v) for v in (longitude[k - 1], longitude[k], latitude[k - 1], latitude[k]))
+        if abs(x1 - x0) > 180.0:
+            side = 180.0 if x0 > 0 else -180.0
+            along = x1 + 2.0 * side - x0
+            y = y0 if along == 0.0 else y0 + (y1 - y0) * (side - x0) / along
+            pieces[-1].append(place(side, y))
+            pieces.append([place(-side, y)])
+        pieces[-1].append(place(x1, y1))
+    return pieces
+
+
 def _json_number(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
@@ -77,7 +96,7 @@ def geojson(items: Mapping[str, object], *, crs: str | None = None) -> dict[str,
     Parameters
     ----------
     items : name -> `Track`, `Path`, `Fix` or (n, 2) array. A track becomes a line; a fix becomes a point with its
-        numbers as properties, and a line where it has more than one corrected point.
+        numbers as properties, and a line where it has more than one corrected point. Lines over the date line are cut there.
     crs : of the coordinates, such as "EPSG:32616"; None for degrees of longitude and latitude.
 
     Raises
@@ -89,8 +108,13 @@ def geojson(items: Mapping[str, object], *, crs: str | None = None) -> dict[str,
 
     def feature(name: str, kind: str, x: NDArray[Any], y: NDArray[Any], properties: Mapping[str, object]) -> None:
         longitude, latitude = _to_degrees(np.atleast_1d(x), np.atleast_1d(y), crs)
-        points = [[round(float(a), 9), round(float(b), 9)] for a, b in zip(longitude, latitude, strict=True)]
-        geometry = {"type": kind, "coordinates": points[0] if kind == "Point" else points}
+        pieces = _cut(longitude, latitude)
+        if kind == "Point":
+            geometry: dict[str, Any] = {"type": kind, "coordinates": pieces[0][0]}
+        elif len(pieces) == 1:
+            geometry = {"type": kind, "coordinates": pieces[0]}
+        else:
+            geometry = {"type": "MultiLineString", "coordinates": pieces}
         plain = {k: _json_number(v) for k, v in properties.items()}
         features.append({"type": "Feature", "geometry": geometry, "properties": {"name": name, **plain}})
 
@@ -129,14 +153,19 @@ def write_geojson(path: str | PathLike[str], items: Mapping[str, object], *, crs
     return target
 
 
-def write_geopackage(path: str | PathLike[str], items: Mapping[str, object], *, crs: str | None = None) -> Path:
+def write_geopackage(
+    path: str | PathLike[str], items: Mapping[str, object], *, crs: str | None = None, overwrite: bool = False
+) -> Path:
     """Write tracks and fixes as layers `fixes` and `tracks` of a GeoPackage, in longitude and latitude (WGS84).
 
-    Samples of a `Track` go to a layer `samples` with their values and times. Needs geopandas (extra `geo`).
+    Samples of a `Track` go to a layer `samples` with their values and times. With `overwrite` a file that is there is written anew; else its
+    other layers stay. Needs geopandas (extra `geo`).
     """
     geopandas = require("geopandas", "geo", "GeoPackage files")
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
+    if overwrite:
+        target.unlink(missing_ok=True)
     collection = geojson(items, crs=crs)["features"]
     for layer, chosen in (("fixes", {"fix"}), ("tracks", {"track", "corrected track"})):
         part = [f for f in collection if f["properties"]["role"] in chosen and f["geometry"] is not None]

@@ -1,23 +1,24 @@
 """Samples from a pipe, fixes to a pipe: one line in, one line out, at once.
 
 Input is CSV or NMEA 0183. CSV lines are `x,y,value` or `time,x,y,value`, or whatever a header line says; lines that start with #
-are passed over. NMEA has positions in GGA or RMC sentences and values in sentences `$PGMAG,<value>*hh` after them. Output is one
-JSON object a sample. Nothing is buffered, so that a fix is there when its sample is.
+are passed over. NMEA has positions in GGA or RMC sentences and values in sentences `$PGMAG,<value>*hh` after them. A line that cannot be
+read is passed over and told. Output is one JSON object a sample, or MAVLink messages of the fixes. Nothing is buffered, so that a fix is there when its sample is.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol, TextIO
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, BinaryIO, Protocol, TextIO
 
-from geomag._errors import InvalidInputError
 from geomag._geomag import Fix
-from geomag.io import _TIME_NAMES, _VALUE_NAMES, _X_NAMES, _Y_NAMES, _is_number
+from geomag.io._serial import Sample, read_csv, read_nmea
 
-__all__ = ["Matcher", "Sample", "Step", "read_csv", "read_nmea", "run"]
+if TYPE_CHECKING:
+    from geomag.mavlink import Encoder
+
+__all__ = ["Matcher", "Sample", "Step", "Writer", "json_lines", "mavlink_messages", "read_csv", "read_nmea", "run"]
 
 #: Those of `Fix.to_dict()`.
 _FIELDS = (
@@ -38,16 +39,6 @@ _FIELDS = (
     "n_samples",
     "iterations",
 )
-
-
-@dataclass(frozen=True)
-class Sample:
-    """One reading: indicated position (map units), measured value, time in seconds where it is known."""
-
-    x: float
-    y: float
-    value: float
-    time_s: float | None = None
 
 
 class Step(Protocol):
@@ -75,150 +66,55 @@ class Matcher(Protocol):
         ...
 
 
-def _header(names: Sequence[str], number: int) -> list[int | None]:
-    """Columns of x, y, value and time by a header; the usual order where it names no coordinates."""
-    known = {name.strip().strip('"').lower(): k for k, name in reversed(list(enumerate(names)))}
-
-    def column(usual: Sequence[str]) -> int | None:
-        return next((known[name] for name in usual if name in known), None)
-
-    x, y, value, time = (column(usual) for usual in (_X_NAMES, _Y_NAMES, _VALUE_NAMES, _TIME_NAMES))
-    if x is None and y is None and len(names) in (3, 4):
-        return _usual(len(names))
-    others = sorted(set(range(len(names))) - {x, y, time})
-    if value is None and len(others) == 1:
-        value = others[0]
-    if x is None or y is None or value is None:
-        raise InvalidInputError(f"line {number}: needed columns for x, y and value, got {', '.join(names)}")
-    return [x, y, value, time]
+#: What becomes of a sample: the sample, the status after it, and the fix where the matcher looked for one.
+Writer = Callable[[Sample, str, Fix | None], None]
 
 
-def _usual(count: int) -> list[int | None]:
-    return [0, 1, 2, None] if count == 3 else [1, 2, 3, 0]
-
-
-def read_csv(lines: Iterable[str]) -> Iterator[Sample]:
-    """Samples from CSV lines `x,y,value` or `time,x,y,value`, or with the columns that a header line names.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the line that is neither, or a header without x, y or value.
-    """
-    columns: list[int | None] | None = None
-    count, first = 0, True
-    for number, raw in enumerate(lines, start=1):
-        line = raw.strip().lstrip("\ufeff")
-        if not line or line.startswith("#"):
-            continue
-        parts = line.replace(";", ",").split(",")
-        if first and not any(map(_is_number, parts)):
-            columns, count, first = _header(parts, number), len(parts), False
-            continue
-        first = False
-        at = columns or _usual(len(parts))
-        if len(parts) != count if columns else len(parts) not in (3, 4):
-            form = f"{count} columns as in the header" if columns else "x,y,value or time,x,y,value"
-            raise InvalidInputError(f"line {number}: needed {form}, got {line!r}")
-        try:
-            x, y, value, time = (None if k is None else float(parts[k]) for k in at)
-        except ValueError as error:
-            raise InvalidInputError(f"line {number}: needed numbers x,y,value, got {line!r}") from error
-        if x is None or y is None or value is None or not all(math.isfinite(v) for v in (x, y, value, time or 0.0)):
-            raise InvalidInputError(f"line {number}: needed finite x,y,value or time,x,y,value, got {line!r}")
-        yield Sample(x, y, value, time)
-
-
-def _sentence(line: str, number: int) -> list[str] | None:
-    """Fields of an NMEA sentence whose checksum holds; None for lines that are no sentence."""
-    if not line.startswith("$"):
-        return None
-    body, star, told = line[1:].partition("*")
-    if star:
-        checksum = 0
-        for byte in body.encode("ascii", "replace"):
-            checksum ^= byte
-        try:
-            good = int(told[:2], 16) == checksum
-        except ValueError:
-            good = False
-        if not good:
-            raise InvalidInputError(f"line {number}: needed checksum {checksum:02X}, got {told!r}")
-    return body.split(",")
-
-
-def _degrees(text: str, hemisphere: str, digits: int, hemispheres: str) -> float:
-    degrees, minutes = int(text[:digits]), float(text[digits:])
-    value = degrees + minutes / 60.0
-    if not (0 <= minutes < 60 and 0 <= value <= (90.0 if digits == 2 else 180.0) and hemisphere in tuple(hemispheres)):
-        raise ValueError(text, hemisphere)
-    return -value if hemisphere == hemispheres[1] else value
-
-
-def _position(fields: list[str]) -> tuple[float, float, float | None] | None:
-    """Longitude, latitude and seconds of the day of a GGA or RMC sentence; None where it says that it has none."""
-    gga = fields[0].endswith("GGA")
-    first = 2 if gga else 3
-    latitude, north, longitude, east = fields[first : first + 4]
-    # Quality of a GGA, status and, from version 2.3 on, mode of an RMC.
-    void = fields[6] in ("", "0") if gga else fields[2] != "A" or fields[12:13] == ["N"]
-    if void or not latitude or not longitude:
-        return None
-    clock = fields[1]
-    seconds = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:]) if clock else None
-    return _degrees(longitude, east, 3, "EW"), _degrees(latitude, north, 2, "NS"), seconds
-
-
-def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
-    """Samples from NMEA 0183: a position (GGA or RMC), then `$PGMAG,<value>*hh`; other sentences are passed over.
-
-    A sentence that declares its position void (GGA of quality 0, RMC of status V) or leaves it empty ends the one
-    before: readings are passed over until there is a position again, and so is one that is empty.
-
-    Raises
-    ------
-    InvalidInputError
-        Naming the line of a wrong checksum or of a sentence that cannot be read.
-    """
-    position: tuple[float, float, float | None] | None = None
-    for number, raw in enumerate(lines, start=1):
-        fields = _sentence(raw.strip(), number)
-        if fields is None:
-            continue
-        try:
-            if fields[0][-3:] in ("GGA", "RMC"):
-                position = _position(fields)
-            elif fields[0] == "PGMAG" and position is not None and fields[1]:
-                value = float(fields[1])
-                if not math.isfinite(value):
-                    raise ValueError(fields[1])
-                yield Sample(position[0], position[1], value, position[2])
-        except (IndexError, ValueError) as error:
-            raise InvalidInputError(f"line {number}: needed an NMEA sentence, got {raw.strip()!r}") from error
-
-
-def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO, *, restart: bool = True) -> Fix | None:
-    """Feed samples to a streaming matcher and write one JSON line for each; return the last fix that it gave.
+def json_lines(out: TextIO) -> Writer:
+    """A writer of one JSON line a sample, flushed at once.
 
     A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix.
+    """
+
+    def write(sample: Sample, status: str, fix: Fix | None) -> None:
+        line = _nothing(status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
+        if sample.time_s is not None:
+            line["time_s"] = sample.time_s
+        out.write(json.dumps(line, allow_nan=False) + "\n")
+        out.flush()
+
+    return write
+
+
+def mavlink_messages(out: BinaryIO, encoder: Encoder) -> Writer:
+    """A writer of MAVLink messages (see `geomag.mavlink`), flushed at once; only fixes that may be used are sent."""
+
+    def write(sample: Sample, status: str, fix: Fix | None) -> None:
+        message = encoder.encode(fix, sample.time_s)
+        if message:
+            out.write(message)
+            out.flush()
+
+    return write
+
+
+def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO | Writer, *, restart: bool = True) -> Fix | None:
+    """Feed samples to a streaming matcher and write what it says after each; return the last fix that it gave.
 
     Parameters
     ----------
     matcher : a streaming matcher.
     samples : from `read_csv`, `read_nmea` or anything else.
-    out : where the lines go; flushed after each.
+    out : where JSON lines go (`json_lines`), or another writer, such as `mavlink_messages`.
     restart : whether a matcher that has `reset()` begins anew after a fix or when lost.
     """
     last: Fix | None = None
+    write = out if callable(out) else json_lines(out)
     reset = getattr(matcher, "reset", None) if restart else None
     for sample in samples:
         step = matcher.update(sample.x, sample.y, sample.value)
         fix = step if isinstance(step, Fix) else step.fix
-        line = _nothing(step.status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
-        if sample.time_s is not None:
-            line["time_s"] = sample.time_s
-        out.write(json.dumps(line, allow_nan=False) + "\n")
-        out.flush()
+        write(sample, step.status if fix is None else fix.status, fix)
         if fix is None:
             continue
         last = fix

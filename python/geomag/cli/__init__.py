@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from geomag._errors import GeomagError
+from geomag._errors import DataWarning, GeomagError
 from geomag._optional import require
 
 require("typer", "cli", "the geomag command")
@@ -70,8 +72,10 @@ from geomag.cli import (  # noqa: E402
     demo,  # noqa: F401
     field,  # noqa: F401
     info,  # noqa: F401
+    map,  # noqa: F401
     match,  # noqa: F401
     navigate,  # noqa: F401
+    reduce,  # noqa: F401
     reproduce,  # noqa: F401
     stream,  # noqa: F401
     stress,  # noqa: F401
@@ -80,7 +84,29 @@ from geomag.cli import (  # noqa: E402
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command and return the exit status."""
+    """Run one command and return the exit status; what readers tell goes to standard error, a line each."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", DataWarning)
+        plain = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:  # noqa: ANN401 - as warnings has it
+            if issubclass(category, DataWarning):
+                sys.stderr.write(f"geomag: {_here(message)}\n")
+            else:
+                plain(message, category, *where, **more)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        return _run(arguments)
+
+
+def _here(message: Warning | Exception | str) -> str:
+    """What the library says, in the words of the command line."""
+    from geomag.cli._settings import options_of
+
+    return in_options(str(message), options_of(typer.main.get_command(app)))
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         from geomag.cli._settings import recorded
 
@@ -90,9 +116,7 @@ def run(arguments: Sequence[str]) -> int:
         sys.stderr.write("geomag: interrupted\n")
         return 130
     except GeomagError as error:
-        from geomag.cli._settings import options_of
-
-        sys.stderr.write(f"geomag: {in_options(str(error), options_of(typer.main.get_command(app)))}\n")
+        sys.stderr.write(f"geomag: {_here(error)}\n")
         return BAD_INPUT
     except (OSError, OverflowError, MemoryError) as error:
         # A full disk, a number beyond what the core counts with.

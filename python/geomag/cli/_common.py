@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import typer
 
+from geomag._errors import DataWarning, TimeError
 from geomag._explain import reasons, status_in_words
 from geomag._geomag import GridMap, Track
-from geomag.io import read_track
+from geomag.io._tables import load_table
+from geomag.io._tracks import track_of
 
 if TYPE_CHECKING:
     from geomag import Fix
@@ -50,12 +53,7 @@ def fix_json(fix: Fix, **more: object) -> str:
 
 
 def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
-    """Read a track and bring it to the map's coordinates; what was done for that is told on stderr.
-
-    The value column is by default the one that is named as the map's variable is.
-    """
-    import warnings
-
+    """Read a track for a map and bring it to the map's coordinates; what was done for that is told on standard error."""
     from geomag.projection import AlignedWarning, align
 
     track = _read(path, grid, x, y, value, drop)
@@ -68,14 +66,22 @@ def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: s
 
 
 def _read(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
+    """A track for a map: its readings by their unit, or by the name of the map's variable where several may be; times only if they are clear.
+
+    No command that takes a track has a use for times that cannot be read, so that those are told and left.
+    """
+    missing: Literal["error", "drop"] = "drop" if drop else "error"
+    table = load_table(path)
     if value is None and grid.name:
-        import contextlib
-
-        from geomag._errors import UnknownVariableError
-
-        with contextlib.suppress(UnknownVariableError):
-            return read_track(path, x, y, grid.name, missing="drop" if drop else "error")
-    return read_track(path, x, y, value, missing="drop" if drop else "error")
+        named = [
+            c for c in table.columns if c.kind == "value" and grid.name.lower() in (c.name.lower(), c.base.lower())
+        ]
+        value = named[0].name if len(named) == 1 else None
+    try:
+        return track_of(table, x, y, value, missing=missing, grid=grid)
+    except TimeError as error:
+        warnings.warn(f"times are left out: {error}", DataWarning, stacklevel=2)
+        return track_of(table, x, y, value, time=False, missing=missing, grid=grid)
 
 
 def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error is beyond the tolerance") -> list[str]:

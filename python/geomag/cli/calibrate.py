@@ -56,13 +56,13 @@ def calibrate(
         typer.Option(callback=positive, help="Average the lines, map and readings, over this length (lines only)."),
     ] = None,
     max_risk: Annotated[float, typer.Option(callback=share, help="Risk up to which a fix is declared.")] = 0.01,
-    x: Annotated[str, typer.Option(help="Column of x or longitude.")] = "longitude",
-    y: Annotated[str, typer.Option(help="Column of y or latitude.")] = "latitude",
-    value: Annotated[str, typer.Option(help="Column of the values.")] = "total_field_anomaly_nt",
-    line: Annotated[str, typer.Option(help="Column of the line labels.")] = "line",
+    x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
+    y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
+    value: Annotated[str | None, typer.Option(help="Column of the values.")] = None,
+    line: Annotated[str | None, typer.Option(help="Column of the line labels.")] = None,
     geographic: Annotated[
         bool | None,
-        typer.Option(help="Coordinates are degrees; by default what the map says, and for lines that they are."),
+        typer.Option(help="Coordinates are degrees; by default what the file says."),
     ] = None,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
     out: Annotated[Path | None, typer.Option(callback=output, help="Write the report (Markdown) to this file.")] = None,
@@ -71,14 +71,11 @@ def calibrate(
     ] = None,
 ) -> int:
     """Report declared risk against observed errors, on left-out lines of a survey or on simulated flights."""
-    from geomag import GridMap
     from geomag.calibration import calibrate_lines, calibrate_simulated
     from geomag.survey import read_lines, smooth_lines
 
     if simulate:
-        grid = read_grid(source, variable, geographic=geographic)
-        if map_sigma is not None:
-            grid = GridMap(grid.values, grid.x, grid.y, geographic=grid.geographic, sigma=map_sigma)
+        grid = read_grid(source, variable, geographic=geographic, sigma=map_sigma)
         result = calibrate_simulated(
             grid,
             sigma=sigma,
@@ -97,7 +94,7 @@ def calibrate(
             bias_sigma=None if bias else 0.0,
         )
     else:
-        lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic is not False)
+        lines = read_lines(source, x=x, y=y, value=value, line=line, geographic=geographic)
         result = calibrate_lines(
             lines if smooth_m is None else smooth_lines(lines, smooth_m),
             name=source.name,

@@ -105,22 +105,13 @@ def synthetic_scene(seed: int) -> Scene:
 
 def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spacing_m: float = 200.0) -> Scene:
     """A stretch of a real survey line, its start displaced by up to a kilometre on each axis."""
-    from geomag.io import _pick, floats, read_table
+    from geomag.survey import read_lines
 
-    table = read_table(lines)
     grid = read_grid(map_file)
-    x_name = _pick(table, None, ("longitude", "x", "easting"), "x", lines)
-    y_name = _pick(table, None, ("latitude", "y", "northing"), "y", lines)
-    value_name = _pick(
-        table, None, (*((grid.name,) if grid.name else ()), "total_field_anomaly_nt", "value"), "value", lines
-    )
-    line_name = _pick(table, None, ("line",), "line", lines)
+    survey = read_lines(lines, geographic=grid.geographic).split()
     rng = np.random.default_rng(seed)
-    numbers = rng.permutation(np.unique(floats(table, line_name, lines)))
-    columns = {n: floats(table, n, lines) for n in (x_name, y_name, value_name, line_name)}
-    for number in numbers:
-        rows = columns[line_name] == number
-        x, y, v = (columns[n][rows] for n in (x_name, y_name, value_name))
+    for one in (survey[k] for k in rng.permutation(len(survey))):
+        x, y, v = one.x, one.y, one.values
         along = Track(x, y, np.nan_to_num(v)).distance_m(geographic=grid.geographic)
         need = (samples - 1) * spacing_m
         if along[-1] < need:
@@ -134,7 +125,7 @@ def survey_scene(lines: Path, map_file: Path, seed: int, samples: int = 40, spac
         east, north = grid.metres_per_unit(float(py[-1]))
         offset = rng.uniform(-1000, 1000, 2) / (east, north)
         track = Track(px - offset[0], py - offset[1], readings)
-        title = f"line {number:g} of {lines.name}, seed {seed}"
+        title = f"line {one.line[0]} of {lines.name}, seed {seed}"
         return Scene(title, grid, track, np.column_stack([px, py]), 10.0, 1500.0)
     raise InvalidInputError(f"{lines}: needed a line of {need:.0f} m that lies on the map, got none")
 

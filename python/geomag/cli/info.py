@@ -27,6 +27,7 @@ def summary(grid: GridMap) -> dict[str, object]:
     slope = slope[np.isfinite(slope)]
     quantiles = np.quantile(slope, [0.1, 0.5, 0.9]) if slope.size else np.full(3, np.nan)
     spacing = grid.spacing_m
+    model = grid.error_model
     return {
         "name": grid.name,
         "units": grid.units,
@@ -46,7 +47,31 @@ def summary(grid: GridMap) -> dict[str, object]:
         "std": float(known.std()),
         "gradient_per_km": {"p10": quantiles[0], "median": quantiles[1], "p90": quantiles[2]},
         "map_sigma": None if grid.sigma is None else float(np.nanmedian(grid.sigma)),
+        "error_model": None
+        if model is None
+        else {k: v for k, v in model.items() if isinstance(v, (int, float, tuple))},
+        "height_m": None
+        if grid.height_m is None
+        else [float(np.nanmin(grid.height_m)), float(np.nanmax(grid.height_m))],
     }
+
+
+def known(grid: GridMap, facts: dict[str, object]) -> list[str]:
+    """What the map knows beyond its values, a line each."""
+    lines = []
+    if facts["map_sigma"] is not None:
+        learnt = "learnt with its error model" if grid.error_model is not None else "without an error model"
+        lines.append(
+            f"error     {facts['map_sigma']:.3g} {grid.units or 'value units'} in the median (one standard deviation), {learnt}"
+        )
+    else:
+        lines.append("error     not known: matchers take it for one of unknown size")
+    if facts["height_m"] is not None:
+        low, high = facts["height_m"]  # type: ignore[misc]
+        lines.append(f"height    {low:.0f} m" if low == high else f"height    {low:.0f} .. {high:.0f} m (draped)")
+    if grid.crs:
+        lines.append(f"system    {grid.crs if len(grid.crs) < 60 else grid.crs[:57] + '...'}")
+    return lines
 
 
 @app.command(
@@ -81,6 +106,7 @@ def info(
         f"holes     {facts['holes']} nodes ({100 * facts['holes_share']:.1f} %)",  # type: ignore[operator]
         f"values    {facts['minimum']:.1f} .. {facts['maximum']:.1f} {value}, mean {facts['mean']:.1f}, std {facts['std']:.1f}",
         f"gradient  {slope:.2f} {value}/km in the median, {facts['gradient_per_km']['p90']:.2f} at 90 %",  # type: ignore[index]
+        *known(grid, facts),
         f"fix       about {reach:.0f} m from 30 samples of {sigma:g} {value} noise, where the samples cross the gradient",
     ]
     typer.echo("\n".join(lines))

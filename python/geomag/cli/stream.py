@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -11,9 +12,10 @@ from typing import Annotated
 import typer
 
 from geomag import stream as pipe
-from geomag._geomag import Iema
+from geomag._errors import InvalidInputError
+from geomag._geomag import GridMap, Iema, PosteriorMatcher, SlidingContour
 from geomag.cli import NO_FIX, app
-from geomag.cli._checks import not_negative, positive
+from geomag.cli._checks import not_negative, positive, share
 from geomag.cli.match import default_half_width_m
 from geomag.io import read_grid
 
@@ -25,27 +27,72 @@ class Input(StrEnum):
     nmea = "nmea"
 
 
+class Output(StrEnum):
+    """Formats of the fixes."""
+
+    json = "json"
+    mavlink = "mavlink"
+
+
+class Method(StrEnum):
+    """Streaming matchers, the calibrated one first."""
+
+    posterior = "posterior"
+    iema = "iema"
+    contour = "contour"
+
+
+#: Options that one matcher has and the others have not.
+_MEANT_FOR = {"max_misses": "iema", "max_risk": "posterior", "length": "contour"}
+
+
 @app.command(
     epilog="Example: tail -n +1 -f log.csv | geomag stream survey.nc --sigma 15 --half-width-m 1500 --tolerance-m 300",
 )
 def stream(
+    context: typer.Context,
     map: Annotated[Path, typer.Argument(help="Map file.")],
+    method: Annotated[
+        Method, typer.Option(help="Matcher; the calibrated one declares the risk of its fixes.")
+    ] = Method.posterior,
     sigma: Annotated[float, typer.Option(callback=positive, help="Standard deviation of a measured value.")] = 10.0,
     half_width_m: Annotated[float | None, typer.Option(callback=positive, help="Bound of the INS error, m.")] = None,
     tolerance_m: Annotated[
-        float, typer.Option(callback=not_negative, help="Extent of the feasible set that is unique enough, m.")
+        float,
+        typer.Option(
+            callback=not_negative,
+            help="Error within which a fix is right, m (0: the method's own). IEMA: extent of the feasible set that is unique enough.",
+        ),
     ] = 0.0,
-    max_misses: Annotated[int, typer.Option(min=0, help="Gate violations that a candidate survives.")] = 0,
+    max_risk: Annotated[
+        float, typer.Option(callback=share, help="Posterior: declared risk up to which it is a fix.")
+    ] = 0.01,
+    max_misses: Annotated[int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")] = 0,
+    length: Annotated[int, typer.Option(min=3, help="Contour: samples of the sliding window.")] = 20,
     input: Annotated[
         Input, typer.Option(help="csv: x,y,value or time,x,y,value, or as a header says. nmea: GGA or RMC, $PGMAG.")
     ] = Input.csv,
+    output: Annotated[
+        Output, typer.Option(help="json: a line a sample. mavlink: an external-position message for each fix.")
+    ] = Output.json,
     restart: Annotated[bool, typer.Option(help="Begin anew after a fix, or when lost.")] = True,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
 ) -> int:
-    """Read samples from standard input, write one JSON object a sample to standard output, at once."""
+    """Read samples from standard input, write one JSON object a sample to standard output, at once; lines that cannot be read are told."""
+    for name, meant in _MEANT_FOR.items():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE" and meant != method.value:
+            raise InvalidInputError(f"--{name.replace('_', '-')}: needed --method {meant}, got {method.value}")
     grid = read_grid(map, variable, geographic=geographic)
-    if hasattr(sys.stdin, "reconfigure"):  # noise on a serial line is for the reader to refuse by its line
+    writer = pipe.json_lines(sys.stdout)
+    if output is Output.mavlink:
+        from geomag.mavlink import Encoder
+
+        if not grid.geographic:
+            raise InvalidInputError("--output: needed a map in degrees for mavlink, got one in metres")
+        writer = pipe.mavlink_messages(sys.stdout.buffer, Encoder())
+    if hasattr(sys.stdin, "reconfigure"):  # noise on a serial line is for the reader to pass over by its line
         sys.stdin.reconfigure(errors="replace")
     samples = (pipe.read_csv if input is Input.csv else pipe.read_nmea)(sys.stdin)
     first = next(samples, None)
@@ -53,12 +100,28 @@ def stream(
         return NO_FIX
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     east, north = grid.metres_per_unit(first.y)
-    matcher = Iema(
-        grid,
-        sigma=sigma,
-        half_width=(reach / east, reach / north),
-        tolerance=(tolerance_m / east, tolerance_m / north),
-        max_misses=max_misses,
-    )
-    last = pipe.run(matcher, itertools.chain([first], samples), sys.stdout, restart=restart)
+    half_width = (reach / east, reach / north)
+    make: dict[Method, Callable[[GridMap], pipe.Matcher]] = {
+        Method.posterior: lambda grid: PosteriorMatcher(
+            grid, half_width=half_width, sigma=sigma, tolerance_m=tolerance_m or None, max_risk=max_risk
+        ),
+        Method.iema: lambda grid: Iema(
+            grid,
+            sigma=sigma,
+            half_width=half_width,
+            tolerance=(tolerance_m / east, tolerance_m / north),
+            max_misses=max_misses,
+        ),
+        Method.contour: lambda grid: SlidingContour(
+            grid,
+            length=length,
+            sigma=sigma,
+            starts="grid",
+            refine=True,
+            half_width_m=reach,
+            offset_sigma_m=reach / 3.0,
+            fix_radius_m=tolerance_m or None,
+        ),
+    }
+    last = pipe.run(make[method](grid), itertools.chain([first], samples), writer, restart=restart)
     return 0 if last is not None and last.ok else NO_FIX

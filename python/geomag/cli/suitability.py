@@ -32,11 +32,12 @@ def suitability(
         float, typer.Option(callback=positive, help="Standard deviation of a reading, value units.")
     ] = 5.0,
     map_error_m: Annotated[
-        float,
+        float | None,
         typer.Option(
-            callback=not_negative, help="Error of the map as a distance: its sigma is this times the gradient."
+            callback=not_negative,
+            help="Error of the map as a distance: its sigma is this times the gradient. By default the error that the map knows, else 30.",
         ),
-    ] = 30.0,
+    ] = None,
     tolerance_m: Annotated[
         float, typer.Option(callback=positive, help="Two standard deviations within this are a fix, m.")
     ] = 500.0,
@@ -78,13 +79,17 @@ def suitability(
         )  # fmt: skip
         return tell_route(rows, speed, out, as_json)
     headings = heading or [0.0, 90.0]
+    # What the map knows of its error adds to the sensor's; 30 m stand for a map that knows nothing.
+    own = None if grid.sigma is None or map_error_m is not None else float(np.nanmedian(grid.sigma))
+    spread = sigma if own is None else float(np.hypot(sigma, own))
+    displaced = (30.0 if own is None else 0.0) if map_error_m is None else map_error_m
     found = position_bound(
         grid.to_xarray(),
         heading_deg=headings,
         samples=samples,
         spacing_m=speed * interval,
-        sigma=sigma,
-        map_error_m=map_error_m,
+        sigma=spread,
+        map_error_m=displaced,
         tolerance_m=tolerance_m,
         geographic=grid.geographic,
         progress=not as_json,

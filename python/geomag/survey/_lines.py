@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError, UnknownVariableError
+from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError
 from geomag._metres import metres_per_unit
 from geomag._ranges import above
-from geomag.io import floats, read_table
+from geomag.io import line_points
 
 Array = npt.NDArray[np.float64]
 #: Places and values of the samples of one window: x, y, values.
@@ -83,26 +83,22 @@ class Lines:
 def read_lines(
     path: str | Path,
     *,
-    x: str = "longitude",
-    y: str = "latitude",
-    value: str = "total_field_anomaly_nt",
-    line: str = "line",
-    geographic: bool = True,
+    x: str | None = None,
+    y: str | None = None,
+    value: str | None = None,
+    line: str | None = None,
+    geographic: bool | None = None,
 ) -> Lines:
-    """Read survey lines from a table (CSV, compressed or not) with one row a point; needs pandas (extra `survey`).
+    """Read survey lines from a table (CSV, compressed or not, Geosoft's text form, Parquet) with one row a point.
 
-    Rows without a position or a value are left out.
+    Columns are known by their names and units as in `geomag.read_track`; what is not known is asked for. Lines are told apart by a column, or
+    by `Line` and `Tie` before their points. Rows without a position or a value (`*`) are left out.
 
-    Raises `MissingFileError`, `ReadError` for a file that is no table, and `UnknownVariableError` naming the columns that
-    there are.
+    Raises `MissingFileError`, `ReadError` for a file that is no table, `UnknownVariableError` naming the columns that
+    there are, and `InvalidInputError` where nothing says whether coordinates are degrees or metres.
     """
-    table = read_table(Path(path))
-    for name in (x, y, value, line):
-        if name not in table.columns:
-            raise UnknownVariableError(f"{path}: needed a column '{name}', got {', '.join(map(str, table.columns))}")
-    table = table.dropna(subset=[x, y, value])
-    columns = [floats(table, name, path) for name in (x, y, value)]
-    return Lines(columns[0], columns[1], columns[2], table[line].to_numpy(), geographic)
+    points, labels = line_points(path, x, y, value, line, geographic)
+    return Lines(points.x, points.y, points.values, labels, bool(points.geographic))
 
 
 def legs_m(x: Array, y: Array, scale_m: tuple[float, float]) -> Array:

@@ -441,7 +441,7 @@ impl PySlidingContour {
 
     /// Take the samples of a track one by one. Returns a list of `Fix`.
     fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<Vec<PyFix>> {
-        let track = track.inner.clone();
+        let track = track.on(py, self.grid.bind(py))?;
         // Some hundred iterations of a few microseconds a sample.
         let units = track.len() as u64 * 500_000;
         let fixes = long_call::run(py, units, None, None, |monitor| {

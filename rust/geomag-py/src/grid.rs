@@ -238,6 +238,18 @@ impl PyGridMap {
         Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
     }
 
+    /// Write the map to a netCDF file (CF conventions) with all that it knows; `GridMap.open` gives it back to the last bit.
+    fn save(slf: &Bound<'_, Self>, path: &Bound<'_, PyAny>) -> PyRes<()> {
+        slf.py().import("geomag.io")?.getattr("save_grid")?.call1((slf, path))?;
+        Ok(())
+    }
+
+    /// The map that `save` wrote. Raises `ReadError` for any other file, which `geomag.read_grid` may read.
+    #[staticmethod]
+    fn open<'py>(path: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
+        Ok(path.py().import("geomag.io")?.getattr("open_grid")?.call1((path,))?)
+    }
+
     /// x of the columns (east), ascending, map units.
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {

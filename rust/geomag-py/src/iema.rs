@@ -190,7 +190,7 @@ impl PyIema {
 
     /// Run over a whole track from a fresh start; stops at the first fix, or when lost. Returns a `Fix`.
     fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<PyFix> {
-        let track = track.inner.clone();
+        let track = track.on(py, self.grid.bind(py))?;
         // At worst every candidate stays.
         let units = (self.lock(py).lattice().len() as u64).saturating_mul(track.len() as u64);
         let fix = long_call::run(py, units, None, None, |monitor| {

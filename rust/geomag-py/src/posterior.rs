@@ -413,7 +413,7 @@ impl PyPosteriorMatcher {
 
     /// Takes samples until a fix is declared or the track ends; the answer then.
     fn run(&self, py: Python<'_>, track: &Bound<'_, PyTrack>) -> PyRes<PyFix> {
-        let track = track.get().inner.clone();
+        let track = track.get().on(py, self.grid.bind(py))?;
         let total = track.len() as u64;
         let units = total.saturating_mul(self.lock(py).n_feasible() as u64);
         let fix = long_call::run(py, units, None, None, |monitor| {

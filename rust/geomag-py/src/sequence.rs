@@ -323,7 +323,7 @@ pub fn py_tune_sequence<'py>(
         "bpso" => TuneMethod::Bpso(BpsoOptions { particles, iterations, ..BpsoOptions::default() }),
         other => return Err(invalid("method", "'exhaustive' or 'bpso'", format!("'{other}'"))),
     };
-    let track = track.inner.clone();
+    let track = track.on(py, grid)?;
     // Some hundred microseconds a trial.
     let trials = options.quanta.len().saturating_mul(max_length.unwrap_or(30)).saturating_mul(draws) as u64;
     let tuned = long_call::run(py, trials.saturating_mul(300_000), threads, progress, |monitor| {

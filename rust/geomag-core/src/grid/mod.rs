@@ -23,6 +23,9 @@ use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
 use crate::map_error::{DistanceLayer, MapErrorModel};
 
+/// Degrees that a map of the whole circle may repeat beyond either of its ends.
+const MOST_SEAM_DEG: f64 = 10.0;
+
 /// A regular grid of field values: the map that matchers compare with.
 ///
 /// Stored with both axes ascending, whatever direction they came in. A NaN is a hole: any interpolation that would need
@@ -114,10 +117,11 @@ impl GridMap {
                     format!("{} to {}", y.first(), y.last()),
                 ));
             }
-            if x.last() - x.first() > 360.0 + x.step() || x.first() < -540.0 || x.last() > 720.0 {
+            // A map of the whole circle may go on beyond its seam, so that a search about the seam stays on it.
+            if x.last() - x.first() > 360.0 + (2.0 * MOST_SEAM_DEG).max(x.step()) || x.first() < -540.0 || x.last() > 720.0 {
                 return Err(Error::invalid(
                     "axis x of a geographic map",
-                    "longitudes in degrees, at most one turn (is the map in metres?)",
+                    "longitudes in degrees, at most one turn and 20 degrees of seam (is the map in metres?)",
                     format!("{} to {}", x.first(), x.last()),
                 ));
             }

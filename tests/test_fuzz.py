@@ -1,0 +1,35 @@
+"""Readers under mutated inputs: a short form of what tests/fuzzing.py does at length, and the seeds that once found something."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+for module in ("xarray", "netCDF4", "rasterio", "harmonica"):
+    pytest.importorskip(module, reason="needs the extras 'io' and 'survey'")
+
+import fuzzing  # noqa: E402 - after the libraries that it needs
+
+LONG = 200 if "GEOMAG_LONG" in os.environ else 1
+#: Kind and seed of inputs that once ended in anything but an error of ours or the numbers of the file.
+FOUND = [("binary", 157), ("binary", 325)]
+
+
+@pytest.mark.parametrize(("kind", "count"), [("text", 1500), ("grid", 400), ("binary", 60)])
+def test_mutated_inputs(tmp_path, kind, count):
+    wrong = [w for seed in range(count * LONG) if (w := fuzzing.one(kind, seed, tmp_path))]
+    assert wrong == []
+
+
+@pytest.mark.parametrize(("kind", "seed"), FOUND)
+def test_seeds_that_found_something(tmp_path, kind, seed):
+    assert fuzzing.one(kind, seed, tmp_path) is None
+
+
+def test_the_oracle_sees_a_stranger():
+    """A number that the text does not hold is told, in whatever unit; those that it holds are not."""
+    text = b"x_km,y,value\n1.25,2e3,-7\n"
+    assert fuzzing.strangers(np.array([1250.0, 2000.0, -7.0, np.nan]), text).size == 0
+    assert fuzzing.strangers(np.array([1.26, -7.5]), text).tolist() == [1.26, -7.5]
