@@ -118,7 +118,10 @@ impl GridMap {
                 ));
             }
             // A map of the whole circle may go on beyond its seam, so that a search about the seam stays on it.
-            if x.last() - x.first() > 360.0 + (2.0 * MOST_SEAM_DEG).max(x.step()) || x.first() < -540.0 || x.last() > 720.0 {
+            if x.last() - x.first() > 360.0 + (2.0 * MOST_SEAM_DEG).max(x.step())
+                || x.first() < -540.0
+                || x.last() > 720.0
+            {
                 return Err(Error::invalid(
                     "axis x of a geographic map",
                     "longitudes in degrees, at most one turn and 20 degrees of seam (is the map in metres?)",

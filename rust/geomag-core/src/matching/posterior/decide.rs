@@ -78,7 +78,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         .fold(f64::NEG_INFINITY, f64::max);
     let mut status = status(problem, posterior, lattice, &p, offset, risk, detail.goodness, runner_up, second);
     // Only what would be used has to stand the tests.
-    let misfit = if status == Status::Fixed { misfit::asked_for(problem, offset) } else { None };
+    let misfit = if status == Status::Fixed { misfit::asked_for(problem, offset, posterior.step) } else { None };
     if misfit.is_some() {
         status = Status::Rejected;
     }

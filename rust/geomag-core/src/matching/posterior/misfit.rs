@@ -27,6 +27,8 @@ const TEMPER: f64 = 0.4;
 const STEPS: f64 = 10.0;
 const STEP_CELLS: f64 = 2.0;
 const MOST_STEPS: f64 = 15.0;
+/// Places of a model that are looked at closely.
+const PLACES: usize = 4;
 /// Least height in cells of the map that changes anything.
 const LEAST_HEIGHT_CELLS: f64 = 0.25;
 /// Standard deviations of the priors: of legs and walk in standard deviations of the readings, of their scale, of the heading in
@@ -65,9 +67,12 @@ impl View<'_> {
     }
 }
 
-/// The effect that the readings ask for most clearly where a fix at `offset` (map units) would be declared; `None` where none gains more
-/// than the threshold.
-pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2]) -> Option<Misfit> {
+/// The effect that the readings ask for most clearly where a fix at `offset` would be declared on a lattice of step `finest` (map
+/// units); `None` where none gains more than the threshold.
+///
+/// A variance that contains what the map does between the offsets favours flat places, so the gain must hold between the two best places
+/// looked at closely as well.
+pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2], finest: [f64; 2]) -> Option<Misfit> {
     let of_map = problem.field.as_grid().and_then(|g| g.error_model()).and_then(|m| m.misfit_threshold);
     let threshold = problem.options.misfit_threshold.or(of_map).unwrap_or(THRESHOLD);
     if threshold == f64::INFINITY {
@@ -83,22 +88,76 @@ pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2]) -> Option<Misfi
     let searched: Vec<Vec<Found>> =
         groups.par_iter().map(|group| search(problem, &told, group, &offsets, step)).collect();
     let evidence = searched.first()?.first()?.log_evidence;
-    let all = groups.iter().flatten().zip(searched.into_iter().flatten()).skip(1);
-    let (strongest, found) = all.reduce(|a, b| if b.1.log_evidence > a.1.log_evidence { b } else { a })?;
-    let gain = found.log_evidence - evidence;
-    if !(gain > threshold) {
-        return None;
-    }
-    let at = offsets[found.best?];
-    let with = with_effect(problem, told.first()?, strongest, 0)?;
-    let estimate = estimate(problem, &with, told.first()?, strongest, at, step);
-    Some(Misfit { effect: strongest.effect.into(), estimate, log_evidence: gain })
+    let mut asked: Vec<(&Alternative, Found)> = (groups.iter().flatten().zip(searched.into_iter().flatten()))
+        .skip(1)
+        .filter(|(_, found)| found.log_evidence - evidence > threshold)
+        .collect();
+    asked.sort_by(|a, b| b.1.log_evidence.total_cmp(&a.1.log_evidence));
+    asked.into_iter().find_map(|(effect, found)| {
+        let views: Option<Vec<View<'_>>> =
+            told.iter().enumerate().map(|(c, view)| with_effect(problem, view, effect, c)).collect();
+        let views = views?;
+        let (at, close) = refined(problem, &views, &offsets, &found.best, step, finest)?;
+        let before = joint(problem, &told, &[offset], finest);
+        let gain = (found.log_evidence - evidence).min(close - before.first()?);
+        (gain > threshold).then(|| Misfit {
+            effect: effect.effect.into(),
+            estimate: estimate(problem, &views[0], &told[0], effect, at, finest),
+            log_evidence: gain,
+        })
+    })
 }
 
-/// The evidence of a model over the whole search, and the offset at which it fits best.
+/// Tempered log-likelihoods of some offsets under a model, all channels together.
+fn joint(problem: &Problem<'_>, views: &[View<'_>], offsets: &[[f64; 2]], step: [f64; 2]) -> Vec<f64> {
+    let mut total = vec![0.0; offsets.len()];
+    let mut scratch = Scratch::default();
+    for view in views {
+        let setup = view.setup(problem, step);
+        let cells: Vec<[f64; 2]> = offsets.iter().map(|o| view.channel.cells(*o)).collect();
+        for (block, sums) in cells.chunks(LANES).zip(total.chunks_mut(LANES)) {
+            let scores = kernel::score::<false>(&setup, block, view.level..view.level + 1, &mut scratch);
+            for (sum, score) in sums.iter_mut().zip(&scores.log_likelihood[view.level]) {
+                *sum += TEMPER * score;
+            }
+        }
+    }
+    total
+}
+
+/// The best place of a model near the best ones of a coarse lattice, sought by halving down to the `finest` step, and its tempered
+/// log-likelihood.
+fn refined(
+    problem: &Problem<'_>,
+    views: &[View<'_>],
+    offsets: &[[f64; 2]],
+    starts: &[usize],
+    step: [f64; 2],
+    finest: [f64; 2],
+) -> Option<([f64; 2], f64)> {
+    let mut step = step;
+    let mut places: Vec<[f64; 2]> = starts.iter().map(|i| offsets[*i]).collect();
+    loop {
+        step = [0, 1].map(|d| (0.5 * step[d]).max(finest[d]));
+        let around = |o: &[f64; 2]| {
+            [[-0.5, -0.5], [0.5, -0.5], [-0.5, 0.5], [0.5, 0.5]].map(|[u, v]| [o[0] + u * step[0], o[1] + v * step[1]])
+        };
+        let some: Vec<[f64; 2]> = places.iter().flat_map(around).collect();
+        let scores = joint(problem, views, &some, step);
+        let mut order: Vec<usize> = (0..some.len()).filter(|i| scores[*i].is_finite()).collect();
+        order.sort_by(|a, b| scores[*b].total_cmp(&scores[*a]));
+        let &best = order.first()?;
+        if (0..2).all(|d| step[d] <= finest[d]) {
+            return Some((some[best], scores[best]));
+        }
+        places = order.iter().take(PLACES).map(|i| some[*i]).collect();
+    }
+}
+
+/// The evidence of a model over the whole search, and the offsets at which it fits best, the very best first.
 struct Found {
     log_evidence: f64,
-    best: Option<usize>,
+    best: Vec<usize>,
 }
 
 /// Offsets over the whole search, one of them the answer, and their step; map units.
@@ -151,7 +210,7 @@ fn search(
     let mut totals = vec![vec![0.0; offsets.len()]; group.len()];
     for (c, view) in told.iter().enumerate() {
         let views: Option<Vec<View<'_>>> = group.iter().map(|a| with_effect(problem, view, a, c)).collect();
-        let Some(views) = views else { return group.iter().map(|_| Found::NONE).collect() };
+        let Some(views) = views else { return group.iter().map(|_| Found::none()).collect() };
         let setups: Vec<Setup<'_>> = views.iter().map(|v| v.setup(problem, step)).collect();
         let cells: Vec<[f64; 2]> = offsets.iter().map(|o| view.channel.cells(*o)).collect();
         let blocks: Vec<Vec<Wide>> = cells
@@ -171,18 +230,18 @@ fn search(
 }
 
 impl Found {
-    const NONE: Self = Self { log_evidence: f64::NEG_INFINITY, best: None };
+    fn none() -> Self {
+        Self { log_evidence: f64::NEG_INFINITY, best: Vec::new() }
+    }
 
     fn of(total: &[f64]) -> Self {
-        let mut best: Option<usize> = None;
-        for (i, t) in total.iter().enumerate() {
-            if t.is_finite() && best.is_none_or(|b| *t > total[b]) {
-                best = Some(i);
-            }
-        }
-        let Some(top) = best else { return Self::NONE };
-        let sum: f64 = total.iter().map(|t| (t - total[top]).exp()).filter(|p| p.is_finite()).sum();
-        Self { log_evidence: total[top] + sum.ln(), best }
+        let mut best: Vec<usize> = (0..total.len()).filter(|i| total[*i].is_finite()).collect();
+        best.sort_unstable_by(|a, b| total[*b].total_cmp(&total[*a]));
+        best.truncate(PLACES);
+        let Some(&first) = best.first() else { return Self::none() };
+        let top = total[first];
+        let sum: f64 = total.iter().map(|t| (t - top).exp()).filter(|p| p.is_finite()).sum();
+        Self { log_evidence: top + sum.ln(), best }
     }
 }
 

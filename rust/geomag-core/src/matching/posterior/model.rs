@@ -255,6 +255,8 @@ pub(super) struct Noise {
     /// Whether the first level's bound, with what the map may do between its nodes in its reach, stands for all of them at the
     /// first stage of a search.
     pub covered: bool,
+    /// Whether the first level's bound stands for all levels at every stage: they differ in their tails only.
+    pub alike: bool,
     /// Whether the error model was learnt from the map's own lines.
     pub learnt: bool,
     /// The level by which places are ranked and residuals are judged.
@@ -358,7 +360,8 @@ impl Noise {
         };
         Ok(Self {
             sensor_variance: sensor.max(floor).powi(2),
-            covered: exact,
+            covered: exact && grid.is_some(),
+            alike: exact && grid.is_none(),
             learnt: model.is_some(),
             // The middle of a spread.
             typical: if exact { 0 } else { levels.len() / 2 },
@@ -406,6 +409,7 @@ impl Noise {
             level.between = STATED_BETWEEN;
             level.log_prior -= total;
         }
+        (self.covered, self.alike) = (false, true);
     }
 
     /// The levels over which residuals are checked: those of a spread to its far tail; else the worst, of which a track may be without being unlikely.

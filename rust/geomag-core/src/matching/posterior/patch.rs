@@ -384,6 +384,12 @@ impl Patch {
         (sum / self.planes[BEND].len() as f64).sqrt()
     }
 
+    /// Lays out the curved surfaces through the nodes.
+    pub fn add_curves(&mut self) {
+        self.curved = true;
+        self.fill_bends();
+    }
+
     /// Second differences of the values: what bilinear interpolation leaves out; those of the curved surfaces where they are wanted. On
     /// the border those of the row or column inside it, which continue the map as a parabola; zero beside holes.
     fn fill_bends(&mut self) {

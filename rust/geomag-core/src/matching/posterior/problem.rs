@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions, bias_prior, wants_curves};
+use super::model::{Channel, Interpolant, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
 use super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
@@ -141,6 +141,16 @@ const ALIKE: f64 = 2.0;
 /// Samples times candidates times levels below which one thread is faster than several.
 const PARALLEL: usize = 16_000;
 
+/// Whether no reading along these positions tells one surface through the nodes of a map from another.
+fn alike(patch: &Patch, positions: &[[f64; 2]], noise: &Noise) -> bool {
+    let square = |p: &[f64; 2]| {
+        let [u, v] = patch.position(p[0], p[1]);
+        f64::from(patch.at(u, v).bend).powi(2)
+    };
+    let bent: f64 = positions.iter().map(square).sum();
+    BETWEEN_SHARE * bent < ALIKE * noise.sensor_variance
+}
+
 /// The box around these places with that much room on every side: its low and its high corner.
 fn around(places: &[[f64; 2]], room: [f64; 2]) -> ([f64; 2], [f64; 2]) {
     let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -213,30 +223,29 @@ impl<'a> Problem<'a> {
             }
             // Every map may be on a turn of longitude of its own.
             let positions: Vec<[f64; 2]> = (0..n).map(|k| [channel.field.wrap_x(track.x()[k]), track.y()[k]]).collect();
+            let mut noise = Noise::new(channel, options)?;
             let patch = match laid_out {
-                Some(patch) if index == 0 => Arc::clone(patch),
+                Some(patch) if index == 0 => {
+                    if noise.covered && alike(patch, &positions, &noise) {
+                        noise.with_one_surface();
+                    }
+                    Arc::clone(patch)
+                }
                 _ => {
                     let (low, high) = around(&positions, reach);
-                    Arc::new(Patch::new(
-                        channel.field,
-                        low,
-                        high,
-                        options.max_candidates,
-                        wants_curves(channel.field, options),
-                    )?)
+                    let mut patch = Patch::new(channel.field, low, high, options.max_candidates, false)?;
+                    if noise.covered && alike(&patch, &positions, &noise) {
+                        noise.with_one_surface();
+                    }
+                    if noise.levels.iter().any(|l| l.surface != Interpolant::Bilinear) {
+                        patch.add_curves();
+                    }
+                    Arc::new(patch)
                 }
             };
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
-            let mut noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
-            if noise.covered && noise.levels.iter().any(|l| l.between > 0.0) {
-                let square = |p: &[f64; 2]| f64::from(patch.at(p[0], p[1]).bend).powi(2);
-                let bent: f64 = indicated.iter().map(square).filter(|b| b.is_finite()).sum();
-                if BETWEEN_SHARE * bent < ALIKE * noise.sensor_variance {
-                    noise.with_one_surface();
-                }
-            }
             // The kernel's unit is the typical error, so that single precision has room on both sides of it.
             let variances = indicated.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
             let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
@@ -329,13 +338,22 @@ impl<'a> Problem<'a> {
         scopes
     }
 
-    /// The part of a scope over which bounds are taken at the first stage: the first level where it stands for all.
-    pub fn covered(&self, scopes: &[Scope]) -> Vec<Scope> {
-        let first = |(channel, scope): (&Prepared, &Scope)| {
-            let levels = if channel.noise.covered { 0..1 } else { scope.levels.clone() };
-            Scope { levels, cover: channel.noise.covered, nodes: scope.nodes.clone() }
+    /// The part of a scope over which bounds are taken: the first level alone where it stands for all, which under several surfaces it
+    /// does at the `first` stage only.
+    pub fn bounded(&self, scopes: &[Scope], first: bool) -> Vec<Scope> {
+        let part = |(channel, scope): (&Prepared, &Scope)| {
+            let noise = &channel.noise;
+            let cover = first && noise.covered;
+            let levels = if cover {
+                0..1
+            } else if noise.alike {
+                scope.levels.start..scope.levels.start + 1
+            } else {
+                scope.levels.clone()
+            };
+            Scope { levels, cover, nodes: scope.nodes.clone() }
         };
-        self.channels.iter().zip(scopes).map(first).collect()
+        self.channels.iter().zip(scopes).map(part).collect()
     }
 
     /// Log-likelihoods of these offsets in the scope of every channel: densities, or bounds over cells of this step.

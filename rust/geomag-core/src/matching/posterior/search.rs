@@ -106,7 +106,7 @@ impl Problem<'_> {
         let mut stages = 1;
         let first_step = step[0];
         let mut scopes = self.whole();
-        let mut bounded = self.covered(&scopes);
+        let mut bounded = self.bounded(&scopes, true);
         let mut bounds = self.likelihoods::<true>(&offsets, step, &bounded);
         let Some(reference) = self.reference(&offsets, step, &bounds) else {
             // No candidate lies on the map.
@@ -150,7 +150,7 @@ impl Problem<'_> {
             if step[0] <= reference.step[0] * 1.001 {
                 break;
             }
-            bounded.clone_from(&scopes);
+            bounded = self.bounded(&scopes, false);
             bounds = self.likelihoods::<true>(&offsets, step, &bounded);
         }
         let mut posterior = self.density(offsets, step, &scopes);
