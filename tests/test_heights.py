@@ -15,7 +15,8 @@ def test_a_track_keeps_its_heights():
     assert track.height_m.tolist() == [300.0, 310.0, 320.0]
     assert track[1:].height_m.tolist() == [310.0, 320.0]
     back = pickle.loads(pickle.dumps(track))
-    assert back.height_m.tolist() == track.height_m.tolist() and back.values.tolist() == track.values.tolist()
+    assert back.height_m.tolist() == track.height_m.tolist()
+    assert back.values.tolist() == track.values.tolist()
     assert geomag.Track([0.0, 1.0], [0.0, 0.0], [5.0, 6.0], height_m=250).height_m.tolist() == [250.0, 250.0]
     assert geomag.Track([0.0], [0.0], [5.0]).height_m is None
 
@@ -37,10 +38,12 @@ def test_a_map_keeps_its_level_or_drape():
     values = np.arange(12.0).reshape(3, 4)
     x, y = np.arange(4.0) * 100, np.arange(3.0) * 100
     level = geomag.GridMap(values, x, y, height_m=305)
-    assert level.height_m == 305.0 and pickle.loads(pickle.dumps(level)).height_m == 305.0
+    assert level.height_m == 305.0
+    assert pickle.loads(pickle.dumps(level)).height_m == 305.0
     drape = 300.0 + values
     north_up = geomag.GridMap(values[::-1], x, y[::-1], height_m=drape[::-1])
-    assert np.array_equal(north_up.height_m, drape) and np.array_equal(north_up.values, values)
+    assert np.array_equal(north_up.height_m, drape)
+    assert np.array_equal(north_up.values, values)
     assert np.array_equal(pickle.loads(pickle.dumps(north_up)).height_m, drape)
     assert geomag.GridMap(values, x, y).height_m is None
 

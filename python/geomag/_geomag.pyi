@@ -41,6 +41,8 @@ class GridMap:
     @staticmethod
     def from_xarray(data_array: xr.DataArray, **options: Any) -> GridMap: ...
     def to_xarray(self) -> xr.DataArray: ...
+    def continue_to(self, height_m: ArrayLike, **options: Any) -> Any: ...
+    def vertical_gradient(self, **options: Any) -> GridMap: ...
     def save(self, path: str | PathLike[str]) -> None: ...
     @staticmethod
     def open(path: str | PathLike[str]) -> GridMap: ...
@@ -70,6 +72,8 @@ class GridMap:
         registration_m_per_d: float | None = None,
         registration_length: float | None = None,
         misfit_threshold: float | None = None,
+        recalibration: tuple[float, float] | None = None,
+        forecast: tuple[float, float] | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -109,6 +113,25 @@ class GridMap:
         height_m: ArrayLike | None = None,
         ground_scale: ArrayLike | None = None,
     ) -> GridMap: ...
+
+@final
+class MapStack:
+    def __new__(cls, levels: Sequence[GridMap]) -> MapStack: ...
+    @property
+    def heights_m(self) -> _Floats: ...
+    @property
+    def levels(self) -> tuple[GridMap, ...]: ...
+    def metres_per_unit(self, y: float) -> tuple[float, float]: ...
+    @property
+    def spacing(self) -> tuple[float, float]: ...
+    @property
+    def geographic(self) -> bool: ...
+    def sample(
+        self, x: ArrayLike, y: ArrayLike, height_m: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear"
+    ) -> Any: ...
+    def at(self, height_m: float) -> GridMap: ...
+    def __len__(self) -> int: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
 
 @final
 class Track:
@@ -187,6 +210,8 @@ class Fix:
     @property
     def track(self) -> _Floats: ...
     @property
+    def heights_m(self) -> tuple[float, float] | None: ...
+    @property
     def surface(self) -> _Floats | None: ...
     @property
     def surface_axes(self) -> tuple[_Floats, _Floats] | None: ...
@@ -218,7 +243,7 @@ class IemaStep:
 class Iema:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         sigma: float,
         half_width: _Pair,
         tolerance: _Pair | None = None,
@@ -229,7 +254,7 @@ class Iema:
         gate: float = 3.0,
         max_candidates: int = ...,
     ) -> Iema: ...
-    def update(self, x: float, y: float, value: float) -> IemaStep: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> IemaStep: ...
     def run(self, track: Track) -> Fix: ...
     def reset(self) -> None: ...
     @property
@@ -247,7 +272,7 @@ class Iema:
     def _restore(grid: GridMap, bytes: bytes) -> Iema: ...
 
 def match_grid(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     track: Track,
     criterion: str = "msd",
     *,
@@ -1111,7 +1136,7 @@ class FieldNavigator:
 # Calibrated matching.
 
 def match_posterior(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     track: Track,
     *,
     half_width: _Pair,
@@ -1137,7 +1162,7 @@ def match_posterior(
     more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1163,7 +1188,7 @@ def match_posterior_many(
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1198,7 +1223,7 @@ class PosteriorStep:
 class PosteriorMatcher:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         *,
         half_width: _Pair,
         sigma: float | None = None,
@@ -1221,7 +1246,7 @@ class PosteriorMatcher:
         max_candidates: int = 4_000_000,
         max_samples: int = 200,
     ) -> PosteriorMatcher: ...
-    def update(self, x: float, y: float, value: float) -> PosteriorStep: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> PosteriorStep: ...
     def run(self, track: Track) -> Fix: ...
     def fix(self) -> Fix: ...
     def reset(self) -> None: ...
@@ -1259,7 +1284,8 @@ def _minimum_curvature(
     *,
     aspect: float,
     weight: float = ...,
-    sweeps: int = 400,
+    reach: float = ...,
+    sweeps: int = 120,
     progress: _Progress = None,
 ) -> _Floats: ...
 def _distance_to_data(

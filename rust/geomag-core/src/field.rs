@@ -1,6 +1,8 @@
 //! The one small trait through which matchers and filters see a scalar field.
 
+use crate::error::Result;
 use crate::grid::GridMap;
+use crate::stack::MapStack;
 
 /// A scalar field over the horizontal plane that a matcher can be given as its map.
 ///
@@ -79,5 +81,24 @@ pub trait Field: Send + Sync + std::fmt::Debug {
     /// The regular grid behind this field, where there is one.
     fn as_grid(&self) -> Option<&GridMap> {
         None
+    }
+
+    /// The levels behind this field, where it has some.
+    fn as_stack(&self) -> Option<&MapStack> {
+        None
+    }
+
+    /// The field for readings between two heights, of a field that can be evaluated anywhere: itself at that height, or levels of
+    /// itself. `None` for one of given surfaces.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`](crate::error::Error::Invalid) for heights at which the field is unknown.
+    fn between(&self, _low_m: f64, _high_m: f64) -> Result<Option<Box<dyn Field>>> {
+        Ok(None)
+    }
+
+    /// The grid whose nodes and error model are those of the field: itself, or the lowest of its levels.
+    fn layout(&self) -> Option<&GridMap> {
+        self.as_grid()
     }
 }

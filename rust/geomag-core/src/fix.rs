@@ -129,6 +129,9 @@ pub struct Fix {
     pub track: Vec<[f64; 2]>,
     /// Scores over the lattice, where asked for.
     pub surface: Option<Surface>,
+    /// Lowest and greatest height at which the levels of a map were read, metres above the height datum; `None` where the map
+    /// was taken as it is.
+    pub heights_m: Option<[f64; 2]>,
 }
 
 impl Fix {
@@ -178,6 +181,7 @@ impl Fix {
             iterations: 1,
             track: Vec::new(),
             surface: None,
+            heights_m: None,
         }
     }
 

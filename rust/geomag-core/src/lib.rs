@@ -27,6 +27,7 @@ pub mod map_error;
 pub mod matching;
 pub mod monitor;
 pub mod navigation;
+pub mod stack;
 pub mod state;
 mod statistics;
 pub mod synthetic;

@@ -12,6 +12,7 @@ use geomag_core::matching::scene::{Channel, Priors};
 use geomag_core::matching::sliding::{AveragedPoint, SlidingState};
 use geomag_core::matching::starts::{DEFAULT_MAX_CANDIDATES, Starts};
 use geomag_core::matching::transform::{Transform, TransformKind};
+use geomag_core::stack::extent;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple};
 
@@ -19,6 +20,7 @@ use crate::arrays::{broadcast, matrix, optional_vector, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::{PyGridMap, interpolation};
+use crate::stack::{level_for, same_map};
 use crate::track::PyTrack;
 use crate::{lock, long_call, state};
 
@@ -323,21 +325,24 @@ pub fn py_match_contour(
     channels: Option<Vec<OtherChannel<'_>>>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyRes<PyFix> {
-    let map = grid_map("grid", grid)?;
+    let track = track.on(py, grid)?;
+    let map = level_for("grid", grid, &track)?;
     let options = contour_options(&map, options)?;
     let weights = optional_vector("weights", weights)?;
     let mut others = Vec::new();
     for (i, (grid, values, sigma)) in channels.unwrap_or_default().iter().enumerate() {
         let what = format!("channels[{i}]");
-        others.push((grid_map(&what, grid)?, vector(&what, values)?, *sigma));
+        others.push((level_for(&what, grid, &track)?, vector(&what, values)?, *sigma));
     }
-    let track = track.on(py, grid)?;
     let units = work(&options, track.len(), 1 + others.len());
-    let fix = long_call::run(py, units, None, None, |monitor| {
+    let mut fix = long_call::run(py, units, None, None, |monitor| {
         let mut all = vec![Channel { map: &map, values: track.values(), sigma }];
         all.extend(others.iter().map(|(map, values, sigma)| Channel { map, values, sigma: Some(*sigma) }));
         match_channels_monitored(&all, &track, weights.as_deref(), &options, monitor)
     })?;
+    if track.height_m().is_some() && !same_map(grid, &map) {
+        fix.heights_m = track.height_m().and_then(extent);
+    }
     Ok(fix.into())
 }
 

@@ -150,6 +150,13 @@ impl PyFix {
         points(py, &self.inner.track)
     }
 
+    /// Lowest and greatest height (metres above the height datum) at which the map was read, where it is a stack of levels or was
+    /// continued to the track's heights; None where it was taken as it is.
+    #[getter]
+    fn heights_m(&self) -> Option<(f64, f64)> {
+        self.inner.heights_m.map(Into::into)
+    }
+
     /// Scores (rows = y offset ascending, columns = x offset ascending), NaN where there is none; None if not asked for.
     #[getter]
     fn surface<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
@@ -185,6 +192,7 @@ impl PyFix {
         d.set_item("runner_up", f.runner_up)?;
         d.set_item("n_samples", f.n_samples)?;
         d.set_item("iterations", f.iterations)?;
+        d.set_item("heights_m", self.heights_m())?;
         Ok(d)
     }
 

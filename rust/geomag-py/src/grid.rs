@@ -5,7 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
-use geomag_core::map_error::{DistanceLayer, FilterLaw, MapErrorModel};
+use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, MapErrorModel, Recalibration};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -13,6 +13,7 @@ use pyo3::types::{PyDict, PyTuple};
 use crate::arrays::{array, broadcast, in_place, is_single, matrix, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
+use crate::stack::PyMapStack;
 
 /// Reads the name of an interpolation.
 pub fn interpolation(name: &str) -> PyRes<Interpolation> {
@@ -83,6 +84,11 @@ impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
         Self { inner: Arc::new(inner), name, units, crs }
+    }
+
+    /// Another map with this one's name, units and reference system.
+    pub fn named_alike(&self, inner: GridMap) -> Self {
+        Self::from_core(inner, self.name.clone(), self.units.clone(), self.crs.clone())
     }
 }
 
@@ -238,6 +244,27 @@ impl PyGridMap {
         Ok(slf.py().import("geomag.io")?.getattr("grid_to_xarray")?.call1((slf,))?)
     }
 
+    /// The map at another height, or a `MapStack` of it at several: see `geomag.continuation.continue_to` for the options.
+    #[pyo3(signature = (height_m, **options))]
+    fn continue_to<'py>(
+        slf: &Bound<'py, Self>,
+        height_m: &Bound<'py, PyAny>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("continue_to")?.call((slf, height_m), options)?)
+    }
+
+    /// The change of the field with height, value units per metre, upward positive: see `geomag.continuation.vertical_gradient`.
+    #[pyo3(signature = (**options))]
+    fn vertical_gradient<'py>(
+        slf: &Bound<'py, Self>,
+        options: Option<&Bound<'py, PyDict>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let module = slf.py().import("geomag.continuation")?;
+        Ok(module.getattr("vertical_gradient")?.call((slf,), options)?)
+    }
+
     /// Write the map to a netCDF file (CF conventions) with all that it knows; `GridMap.open` gives it back to the last bit.
     fn save(slf: &Bound<'_, Self>, path: &Bound<'_, PyAny>) -> PyRes<()> {
         slf.py().import("geomag.io")?.getattr("save_grid")?.call1((slf, path))?;
@@ -302,12 +329,13 @@ impl PyGridMap {
     /// The five after `distance_m` are what a filter has to know (`Navigator`): sigma of a single sample over the stored
     /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
-    /// defaults; without any the navigator uses its own.
-    ///
-    /// `misfit_threshold`: log evidence that an effect which was not told must gain for a fix to be rejected, as in `match_posterior`.
+    /// defaults; without any the navigator uses its own. `recalibration` (slope, intercept) is a line in log-odds from the risk that the
+    /// posterior computes to the one that is declared; `forecast` the factor on the map's errors in simulated flights and that on
+    /// the standard deviation foretold (`predict_many`). `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be
+    /// rejected, as in `match_posterior`.
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
                         batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
-                        misfit_threshold = None))]
+                        recalibration = None, forecast = None, misfit_threshold = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -321,6 +349,8 @@ impl PyGridMap {
         crossover: Option<f64>,
         registration_m_per_d: Option<f64>,
         registration_length: Option<f64>,
+        recalibration: Option<(f64, f64)>,
+        forecast: Option<(f64, f64)>,
         misfit_threshold: Option<f64>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
@@ -342,8 +372,19 @@ impl PyGridMap {
             registration_m_per_d: registration_m_per_d.unwrap_or(usual.registration_m_per_d),
             registration_length: registration_length.unwrap_or(usual.registration_length),
         });
-        let model =
-            MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer, filter, misfit_threshold };
+        let recalibration = recalibration.map(|(slope, intercept)| Recalibration { slope, intercept });
+        let forecast = forecast.map(|(level, spread)| Forecast { level, spread });
+        let model = MapErrorModel {
+            nu,
+            scale_spread,
+            correlation,
+            registration,
+            distance_m: layer,
+            filter,
+            recalibration,
+            forecast,
+            misfit_threshold,
+        };
         Ok(self.with_model(Some(model))?)
     }
 
@@ -375,6 +416,12 @@ impl PyGridMap {
             out.set_item("crossover", law.crossover)?;
             out.set_item("registration_m_per_d", law.registration_m_per_d)?;
             out.set_item("registration_length", law.registration_length)?;
+        }
+        if let Some(line) = &model.recalibration {
+            out.set_item("recalibration", (line.slope, line.intercept))?;
+        }
+        if let Some(forecast) = &model.forecast {
+            out.set_item("forecast", (forecast.level, forecast.spread))?;
         }
         if let Some(threshold) = model.misfit_threshold {
             out.set_item("misfit_threshold", threshold)?;
@@ -453,7 +500,7 @@ impl PyGridMap {
     /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
     ///
     /// Raises `InvalidInputError` for a latitude beyond a pole.
-    fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
+    pub fn metres_per_unit(&self, y: f64) -> PyRes<(f64, f64)> {
         if self.inner.geographic() && y.abs() > 90.0 {
             return Err(invalid("y of a geographic map", "a latitude in [-90, 90] degrees", y));
         }
@@ -588,6 +635,8 @@ impl PyGridMap {
             }
         };
         let optional = |key: &str| -> PyRes<Option<f64>> { Ok(model.get_item(key)?.map(|v| v.extract()).transpose()?) };
+        let pair =
+            |key: &str| -> PyRes<Option<(f64, f64)>> { Ok(model.get_item(key)?.map(|v| v.extract()).transpose()?) };
         let Some(distance) = model.get_item("distance_m")? else {
             return Err(invalid("saved error model", "distance_m", "nothing"));
         };
@@ -602,6 +651,8 @@ impl PyGridMap {
             optional("crossover")?,
             optional("registration_m_per_d")?,
             optional("registration_length")?,
+            pair("recalibration")?,
+            pair("forecast")?,
             optional("misfit_threshold")?,
         )
     }
@@ -637,5 +688,8 @@ pub fn field(object: &Bound<'_, PyAny>) -> PyRes<Arc<dyn Field>> {
     if let Ok(map) = object.cast::<PyHarmonicMap>() {
         return Ok(map.get().inner.clone());
     }
-    Err(invalid("grid", "a geomag.GridMap or HarmonicMap", object.get_type().name()?))
+    if let Ok(stack) = object.cast::<PyMapStack>() {
+        return Ok(stack.get().inner.clone());
+    }
+    Err(invalid("grid", "a geomag.GridMap, MapStack or HarmonicMap", object.get_type().name()?))
 }

@@ -10,8 +10,9 @@ use pyo3::prelude::*;
 use crate::arrays::{optional_vector, pair, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
-use crate::grid::{field, interpolation};
+use crate::grid::interpolation;
 use crate::long_call;
+use crate::stack::field_for;
 use crate::track::PyTrack;
 
 fn criterion(
@@ -147,8 +148,8 @@ pub fn py_match_grid(
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<PyFix> {
     check_unused(length_scale_m, value_scale, fraction, robust_scale, nu)?;
-    let field = field(grid)?;
     let samples = &*track.on(py, grid)?;
+    let field = field_for(grid, [samples])?;
     let weights = optional_vector("weights", weights)?;
     let measured = samples.weighted(weights.as_deref())?;
     let search = GridSearch {

@@ -175,9 +175,13 @@ impl PyIema {
         Ok(Self { inner: Mutex::new(Iema::new(field(grid)?, options)?), grid: grid.clone().unbind() })
     }
 
-    /// Take one sample: indicated position (map units) and measured value. Returns an `IemaStep`.
-    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyIemaStep> {
-        let take = |mut iema: MutexGuard<'_, Iema>| iema.update(x, y, value).map(|step| (step, iema.field().clone()));
+    /// Take one sample: indicated position (map units), measured value, and height where the map is a `MapStack`. Returns an
+    /// `IemaStep`.
+    #[pyo3(signature = (x, y, value, height_m = None))]
+    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyIemaStep> {
+        let take = |mut iema: MutexGuard<'_, Iema>| {
+            iema.update_at(x, y, value, height_m).map(|step| (step, iema.field().clone()))
+        };
         let iema = self.lock(py);
         let (inner, field) = if iema.n_feasible() > MANY {
             drop(iema);

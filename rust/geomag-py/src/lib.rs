@@ -38,6 +38,7 @@ mod map_navigator;
 mod navigator;
 mod posterior;
 mod sequence;
+mod stack;
 mod synthetic;
 mod track;
 
@@ -85,6 +86,8 @@ mod _geomag {
     use crate::sequence::{
         PyDeltaModulator, py_choose_sequence, py_delta_modulation, py_energy_bandwidth, py_tune_sequence,
     };
+    #[pymodule_export]
+    use crate::stack::PyMapStack;
     #[pymodule_export]
     use crate::synthetic::{PyPath, PySyntheticField, draw_ins_error, fly};
     #[pymodule_export]

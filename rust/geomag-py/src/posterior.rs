@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
+use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 
@@ -12,6 +13,7 @@ use crate::arrays::{pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::{field, interpolation as named};
+use crate::stack::field_for;
 use crate::track::PyTrack;
 use crate::{lock, long_call};
 
@@ -35,11 +37,11 @@ fn extent(half_width: &Bound<'_, PyAny>, step: Option<&Bound<'_, PyAny>>) -> PyR
     Ok((pair("half_width", half_width)?, step.map(|s| pair("step", s)).transpose()?))
 }
 
-fn extras(more: Option<Vec<Bound<'_, PyAny>>>) -> PyRes<Vec<Extra>> {
+fn extras(more: Option<Vec<Bound<'_, PyAny>>>, track: &Track) -> PyRes<Vec<Extra>> {
     let mut out = Vec::new();
     for item in more.unwrap_or_default() {
         let (grid, values, sigma): (Bound<'_, PyAny>, Bound<'_, PyAny>, Option<f64>) = item.extract()?;
-        out.push((field(&grid)?, vector("values of a further field", &values)?, sigma));
+        out.push((field_for(&grid, [track])?, vector("values of a further field", &values)?, sigma));
     }
     Ok(out)
 }
@@ -151,15 +153,15 @@ pub fn match_posterior(
     surface: bool,
     more: Option<Vec<Bound<'_, PyAny>>>,
 ) -> PyRes<PyFix> {
-    let map = field(grid)?;
+    let track = &track.get().on(py, grid)?;
+    let map = field_for(grid, [&**track])?;
     let (half_width, step) = extent(half_width, step)?;
     let interpolation = named(interpolation)?;
     let options = options! {
         half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
         position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates, surface
     };
-    let more = extras(more)?;
-    let track = &track.get().on(py, grid)?;
+    let more = extras(more, track)?;
     let units = posterior::work(&*map, track, &options)?.saturating_mul(more.len() as u64 + 1);
     let fix = long_call::run(py, units, None, None, |monitor| {
         let mut channels = vec![Channel { field: &*map, values: track.values(), sigma }];
@@ -249,14 +251,14 @@ pub fn match_posterior_many(
     streaming: bool,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<PyFix>> {
-    let map = field(grid)?;
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
+    let map = field_for(grid, &tracks)?;
     let (half_width, step) = extent(half_width, step)?;
     let interpolation = named(interpolation)?;
     let options = options! {
         half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
         position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
     };
-    let tracks = crate::track::all_on(py, grid, &tracks)?;
     let units = (tracks.len() as u64).saturating_mul(4_000_000);
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
         if streaming {
@@ -404,11 +406,13 @@ impl PyPosteriorMatcher {
         Ok(Self { inner: Mutex::new(inner), grid: grid.clone().unbind() })
     }
 
-    /// Takes one sample: indicated position `x`, `y` (map units) and measured `value`. Returns a `PosteriorStep`.
+    /// Takes one sample: indicated position `x`, `y` (map units), measured `value`, and `height_m` where the map is a `MapStack`.
+    /// Returns a `PosteriorStep`.
     ///
     /// Raises `NotFiniteError` for a sample that is not finite; it is not taken.
-    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyPosteriorStep> {
-        Ok(PyPosteriorStep { inner: py.detach(|| lock::detached(&self.inner).update(x, y, value))? })
+    #[pyo3(signature = (x, y, value, height_m = None))]
+    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyPosteriorStep> {
+        Ok(PyPosteriorStep { inner: py.detach(|| lock::detached(&self.inner).update_at(x, y, value, height_m))? })
     }
 
     /// Takes samples until a fix is declared or the track ends; the answer then.
@@ -420,7 +424,8 @@ impl PyPosteriorMatcher {
             let mut matcher = lock::detached(&self.inner);
             for k in 0..track.len() {
                 monitor.advance(k as u64, total)?;
-                let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
+                let height = track.height_m().map(|h| h[k]);
+                let step = matcher.update_at(track.x()[k], track.y()[k], track.values()[k], height)?;
                 if let Some(fix) = step.fix.filter(geomag_core::fix::Fix::ok) {
                     return Ok(fix);
                 }
@@ -604,13 +609,13 @@ pub fn predict_many(
     seed: u64,
     progress: Option<&Bound<'_, PyAny>>,
 ) -> PyRes<Vec<Option<PyPrediction>>> {
-    let map = field(grid)?;
+    let tracks = crate::track::all_on(py, grid, &tracks)?;
+    let map = field_for(grid, &tracks)?;
     let half_width = pair("half_width", half_width)?;
     let interpolation = named(interpolation)?;
     let options = options! {
         half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu, interpolation
     };
-    let tracks = crate::track::all_on(py, grid, &tracks)?;
     if flights > MAX_FLIGHTS {
         return Err(invalid("flights", &format!("at most {MAX_FLIGHTS}"), flights));
     }

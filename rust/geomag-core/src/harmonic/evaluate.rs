@@ -250,7 +250,8 @@ impl RectangularHarmonicModel {
         self.row_sigma(positions, &rows, extrapolate)
     }
 
-    /// Standard deviation of the three components (north, east, down) of the modelled field.
+    /// Standard deviation of the three components (north, east, down) of the modelled field; infinite for one whose uniform
+    /// part no observation senses (see [`FitSummary::undetermined`](super::FitSummary::undetermined)).
     ///
     /// # Errors
     /// [`Error::Invalid`] where the model has no covariance.
@@ -289,7 +290,13 @@ impl RectangularHarmonicModel {
             for (k, sigma) in out.iter_mut().enumerate() {
                 // Rounding may leave a variance of zero just below it.
                 let variance = spread.column(k).dot(&design.column(k));
-                *sigma = if variance.is_nan() { f64::NAN } else { self.misfit().sigma(variance.max(0.0).sqrt()) };
+                *sigma = if variance.is_nan() {
+                    f64::NAN
+                } else if self.unsensed(rows[k].1).is_some() {
+                    f64::INFINITY
+                } else {
+                    self.misfit().sigma(variance.max(0.0).sqrt())
+                };
             }
         });
         Ok(out)

@@ -84,6 +84,12 @@ pub struct FitSummary {
     pub iterations: usize,
     /// Whether the iteration settled.
     pub converged: bool,
+    /// Directions (north, east, down; unit vectors) of the uniform field that no observation senses: left out, nil in the model.
+    #[serde(default)]
+    pub undetermined: Vec<[f64; 3]>,
+    /// Whether total-field anomalies were fitted, as projections on the main field: they are read as such again.
+    #[serde(default)]
+    pub projected: bool,
 }
 
 /// Fits a model by (weighted, regularised, optionally robust) least squares.
@@ -233,6 +239,8 @@ impl Prepared {
                     effective_parameters: parameters,
                     iterations,
                     converged: settled,
+                    undetermined: solver.undetermined().to_vec(),
+                    projected: observations.has_anomalies(),
                 };
                 return Ok((coefficients, solver, summary));
             }

@@ -11,10 +11,17 @@ use super::{Positions, RectangularHarmonicModel};
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::frame::{LocalFrame, metres_per_degree, wrap_longitude};
-use crate::grid::{Axis, GridMap, GridValues};
+use crate::grid::{Axis, GridMap, GridValues, MapHeight, MapSigma};
+use crate::stack::MapStack;
 
 /// Nodes to a shortest wavelength at which the model counts as known: the step of a search over it.
 const NODES_A_WAVELENGTH: f64 = 8.0;
+/// Heights that differ by less are one, metres.
+const SAME_LEVEL_M: f64 = 0.1;
+/// Most levels between two heights.
+const MOST_LEVELS: f64 = 64.0;
+/// Places along each axis at which it is seen whether a scalar is determined.
+const DETERMINED_AT: usize = 4;
 /// Samples along each axis from which the mean level is taken.
 const MEAN_SAMPLES: usize = 24;
 
@@ -36,11 +43,27 @@ pub enum Quantity {
     Anomaly([f64; 3]),
     /// The total intensity `|main + B|`.
     Intensity([f64; 3]),
+    /// The total intensity to first order, `|main|` and the component along it: all that a fit to anomalies knows of it.
+    ProjectedIntensity([f64; 3]),
 }
 
 impl Quantity {
+    /// What it is called.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::North => "north",
+            Self::East => "east",
+            Self::Down => "down",
+            Self::Projection(_) => "projection",
+            Self::Anomaly(_) => "anomaly",
+            Self::Intensity(_) | Self::ProjectedIntensity(_) => "intensity",
+        }
+    }
+
     pub(crate) fn validate(self) -> Result<Self> {
-        if let Self::Projection(main) | Self::Anomaly(main) | Self::Intensity(main) = self {
+        if let Self::Projection(main) | Self::Anomaly(main) | Self::Intensity(main) | Self::ProjectedIntensity(main) =
+            self
+        {
             require_finite("main_field", &main)?;
             if norm(main) == 0.0 {
                 return Err(Error::invalid("main_field", "a vector of length > 0", "a zero vector"));
@@ -60,6 +83,11 @@ impl Quantity {
             Self::Projection(main) => {
                 let length = norm(main);
                 along(main.map(|c| c / length))
+            }
+            Self::ProjectedIntensity(main) => {
+                let length = norm(main);
+                let (value, direction) = along(main.map(|c| c / length));
+                (length + value, direction)
             }
             Self::Anomaly(main) | Self::Intensity(main) => {
                 let total = [main[0] + field[0], main[1] + field[1], main[2] + field[2]];
@@ -86,6 +114,8 @@ impl Quantity {
 #[derive(Debug, Clone)]
 pub struct HarmonicMap {
     model: Arc<RectangularHarmonicModel>,
+    /// As it was asked for, and as the model has it.
+    asked: Quantity,
     quantity: Quantity,
     level: Level,
     spacing: [f64; 2],
@@ -138,7 +168,7 @@ impl HarmonicMap {
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
-        Self::new(model, quantity, Level::Height(frame, height_m))
+        Self::on(model, quantity, Level::Height(frame, height_m))
     }
 
     /// On a plane of the frame, `down_m` below its origin; coordinates in metres.
@@ -147,11 +177,12 @@ impl HarmonicMap {
     /// [`Error::Invalid`] for a main field of length zero; [`Error::NotFinite`].
     pub fn at_down(model: Arc<RectangularHarmonicModel>, quantity: Quantity, down_m: f64) -> Result<Self> {
         require_finite("down_m", &[down_m])?;
-        Self::new(model, quantity, Level::Down(down_m))
+        Self::on(model, quantity, Level::Down(down_m))
     }
 
-    fn new(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Level) -> Result<Self> {
-        let quantity = quantity.validate()?;
+    pub(crate) fn on(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Level) -> Result<Self> {
+        let asked = quantity.validate()?;
+        let quantity = model.as_fitted(asked);
         let order = model.order().max(1) as f64;
         let [north, east] = model.periods_m().map(|p| p / order / NODES_A_WAVELENGTH);
         let spacing = match level {
@@ -161,7 +192,8 @@ impl HarmonicMap {
                 [east / east_scale.max(1.0), north / north_scale]
             }
         };
-        let mut map = Self { model, quantity, level, spacing, mean: 0.0 };
+        let mut map = Self { model, asked, quantity, level, spacing, mean: 0.0 };
+        map.require_determined()?;
         map.mean = map.mean_over_region();
         Ok(map)
     }
@@ -173,7 +205,52 @@ impl HarmonicMap {
 
     /// The scalar that the map gives.
     pub fn quantity(&self) -> Quantity {
-        self.quantity
+        self.asked
+    }
+
+    /// Refuses a scalar that the observations do not determine: one along a uniform field that none of them senses, or one that
+    /// is less well known than it is large.
+    fn require_determined(&self) -> Result<()> {
+        let refuse =
+            |got: String| Err(Error::invalid("quantity", "a scalar of the field that the observations determine", got));
+        let (mut points, mut directions, mut signals) = (Vec::new(), Vec::new(), Vec::new());
+        for [x, y] in self.places(DETERMINED_AT) {
+            let point = self.level.point(x, y);
+            let field = self.model.field_at(point);
+            let e = Evaluation { potential: 0.0, field, gradient: [[0.0; 3]; 3] };
+            let direction = self.scalar(x, y, &e).1;
+            if let Some(unsensed) = self.model.unsensed(direction) {
+                return refuse(format!("{}: nothing observed senses a {unsensed}", self.asked.name()));
+            }
+            points.push(point);
+            directions.push(direction);
+            signals.push(dot(direction, field));
+        }
+        if !self.model.has_covariance() {
+            return Ok(());
+        }
+        let axis = |i: usize| points.iter().map(|p| p[i]).collect::<Vec<_>>();
+        let (north, east, down) = (axis(0), axis(1), axis(2));
+        let sigma = self.model.sigma_along(&Positions::new(&north, &east, &down)?, &directions, false)?;
+        let (mut values, mut variances, mut count) = (0.0, 0.0, 0.0);
+        for (signal, sigma) in signals.iter().zip(&sigma) {
+            if signal.is_finite() && sigma.is_finite() {
+                values += signal * signal;
+                variances += sigma * sigma;
+                count += 1.0;
+            }
+        }
+        if count > 0.0 && variances > values && values > 0.0 {
+            let rms = |sum: f64| (sum / count).sqrt();
+            return refuse(format!(
+                "{}, known to {:.3} {unit} where it is {:.3} {unit} rms",
+                self.asked.name(),
+                rms(variances),
+                rms(values),
+                unit = self.model.unit()
+            ));
+        }
+        Ok(())
     }
 
     /// The map as a regular grid on given axes: upward continuation to the level, for matchers that read grids.
@@ -211,19 +288,85 @@ impl HarmonicMap {
         self.quantity.of(e.field, |own| self.level.from_own(x, y, own))
     }
 
-    fn mean_over_region(&self) -> f64 {
+    /// The level at a height above the datum: the ellipsoid of the frame, or the height of the frame's origin less `down`.
+    fn level_at(&self, height_m: f64) -> Level {
+        match self.level {
+            Level::Height(frame, _) => Level::Height(frame, height_m),
+            Level::Down(_) => Level::Down(self.model.frame().map_or(0.0, LocalFrame::height_m) - height_m),
+        }
+    }
+
+    fn at_level(&self, level: Level) -> Self {
+        let mut map = Self { level, ..self.clone() };
+        map.mean = map.mean_over_region();
+        map
+    }
+
+    /// Levels from one height to another as grids on the region: between two of them the shortest wave errs by a thirtieth of itself.
+    fn stack(&self, low_m: f64, high_m: f64) -> Result<MapStack> {
+        let order = self.model.order().max(1) as f64;
+        let shortest = self.model.periods_m().map(|p| p / order).into_iter().fold(f64::INFINITY, f64::min);
+        let apart = 0.5 * shortest / std::f64::consts::TAU;
+        let count = ((high_m - low_m) / apart).ceil().clamp(1.0, MOST_LEVELS) as usize;
         let region = self.model.region();
-        let at = |[low, high]: [f64; 2], k: usize| low + (high - low) * (k as f64 + 0.5) / MEAN_SAMPLES as f64;
-        let (mut sum, mut count) = (0.0, 0.0);
-        for k in 0..MEAN_SAMPLES * MEAN_SAMPLES {
-            let (north, east) = (at(region.north_m, k / MEAN_SAMPLES), at(region.east_m, k % MEAN_SAMPLES));
-            let value = match self.level {
-                Level::Down(_) => self.value(east, north),
+        let corner = |i: usize| {
+            let (north, east) = (region.north_m[i / 2], region.east_m[i % 2]);
+            match self.level {
+                Level::Down(_) => [east, north],
                 Level::Height(frame, _) => {
                     let [latitude, longitude, _] = frame.inverse([north, east, region.down_m[1]]);
-                    self.value(longitude, latitude)
+                    [self.wrap_x(longitude), latitude]
                 }
-            };
+            }
+        };
+        let corners: Vec<[f64; 2]> = (0..4).map(corner).collect();
+        let axis = |d: usize| {
+            let low = corners.iter().map(|c| c[d]).fold(f64::INFINITY, f64::min);
+            let high = corners.iter().map(|c| c[d]).fold(f64::NEG_INFINITY, f64::max);
+            let nodes = ((high - low) / self.spacing[d]).ceil().max(1.0);
+            Axis::new(low, (high - low) / nodes, nodes as usize + 1)
+        };
+        let (x, y) = (axis(0)?, axis(1)?);
+        let level = |i: usize| {
+            let height = low_m + (high_m - low_m) * i as f64 / count as f64;
+            let map = self.at_level(self.level_at(height));
+            let sigma = map.typical_sigma();
+            map.to_grid(x, y)?.with_sigma(Some(MapSigma::Constant(sigma)))?.with_height(Some(MapHeight::Level(height)))
+        };
+        MapStack::new((0..=count).map(level).collect::<Result<_>>()?)
+    }
+
+    /// Root mean square of the standard deviation over the region.
+    fn typical_sigma(&self) -> f64 {
+        if !self.model.has_covariance() {
+            return 0.0;
+        }
+        let places = self.places(DETERMINED_AT);
+        let known: Vec<f64> = places.iter().map(|p| self.sigma(p[0], p[1]).powi(2)).filter(|s| s.is_finite()).collect();
+        (known.iter().sum::<f64>() / known.len().max(1) as f64).sqrt()
+    }
+
+    /// Places spread over the region, so many along each axis.
+    fn places(&self, along: usize) -> Vec<[f64; 2]> {
+        let region = self.model.region();
+        let at = |[low, high]: [f64; 2], k: usize| low + (high - low) * (k as f64 + 0.5) / along as f64;
+        let place = |k: usize| {
+            let (north, east) = (at(region.north_m, k / along), at(region.east_m, k % along));
+            match self.level {
+                Level::Down(_) => [east, north],
+                Level::Height(frame, _) => {
+                    let [latitude, longitude, _] = frame.inverse([north, east, region.down_m[1]]);
+                    [longitude, latitude]
+                }
+            }
+        };
+        (0..along * along).map(place).collect()
+    }
+
+    fn mean_over_region(&self) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for [x, y] in self.places(MEAN_SAMPLES) {
+            let value = self.value(x, y);
             if value.is_finite() {
                 sum += value;
                 count += 1.0;
@@ -259,6 +402,44 @@ impl Field for HarmonicMap {
         Positions::new(&point[..1], &point[1..2], &point[2..])
             .and_then(|positions| self.model.sigma_along(&positions, &[direction], false))
             .map_or(f64::NAN, |s| s[0])
+    }
+
+    fn value_at(&self, x: f64, y: f64, height_m: f64) -> f64 {
+        let level = self.level_at(height_m);
+        let field = self.model.field_at(level.point(x, y));
+        self.quantity.of(field, |own| level.from_own(x, y, own)).0
+    }
+
+    fn value_and_gradient_at(&self, x: f64, y: f64, height_m: f64) -> (f64, [f64; 2]) {
+        Self { level: self.level_at(height_m), ..self.clone() }.value_and_gradient(x, y)
+    }
+
+    fn sigma_at(&self, x: f64, y: f64, height_m: f64) -> f64 {
+        Self { level: self.level_at(height_m), ..self.clone() }.sigma(x, y)
+    }
+
+    fn heights(&self) -> Option<[f64; 2]> {
+        let lowest = match self.level {
+            Level::Height(frame, _) => frame.height_m() - self.model.region().down_m[1],
+            Level::Down(_) => self.model.frame().map_or(0.0, LocalFrame::height_m) - self.model.region().down_m[1],
+        };
+        Some([lowest, f64::INFINITY])
+    }
+
+    fn between(&self, low_m: f64, high_m: f64) -> Result<Option<Box<dyn Field>>> {
+        let same = |level: Level| match (level, self.level) {
+            (Level::Height(_, a), Level::Height(_, b)) | (Level::Down(a), Level::Down(b)) => {
+                (a - b).abs() < SAME_LEVEL_M
+            }
+            _ => false,
+        };
+        if same(self.level_at(low_m)) && same(self.level_at(high_m)) {
+            return Ok(None);
+        }
+        if low_m == high_m {
+            return Ok(Some(Box::new(self.at_level(self.level_at(low_m)))));
+        }
+        Ok(Some(Box::new(self.stack(low_m, high_m)?)))
     }
 
     fn geographic(&self) -> bool {

@@ -139,7 +139,11 @@ pub fn leave_out(
         monitor.advance(part as u64, folds as u64)?;
         let keep = |inside: bool| {
             let rows = observations.rows.iter().filter(|r| (fold[r.point as usize] == part) == inside);
-            Observations { points: observations.points.clone(), rows: rows.copied().collect() }
+            Observations {
+                points: observations.points.clone(),
+                rows: rows.copied().collect(),
+                anomalies: observations.anomalies,
+            }
         };
         let (training, hidden) = (keep(false), keep(true));
         let model = fit(&training, &options, &Quiet)?;
@@ -162,7 +166,7 @@ pub fn leave_out(
         let spread = model.sigma_along(&positions, &directions, true)?;
         // Residuals ask for the field at the points, of which each row here has its own.
         let rows = hidden.rows.iter().enumerate().map(|(k, row)| super::observations::Row { point: k as u32, ..*row });
-        let alone = Observations { points: Vec::new(), rows: rows.collect() };
+        let alone = Observations { points: Vec::new(), rows: rows.collect(), anomalies: observations.anomalies };
         let found = residuals(&alone, &field);
         let mine = (0..observations.len()).filter(|&k| fold[observations.rows[k].point as usize] == part);
         for (k, (error, s)) in mine.zip(found.into_iter().zip(spread)) {

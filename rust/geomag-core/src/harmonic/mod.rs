@@ -42,6 +42,22 @@ const MARGIN: f64 = 0.01;
 /// How far below the data still counts as inside, in e-foldings of the shortest wavelength.
 const MARGIN_BELOW: f64 = 0.1;
 
+/// Cosine of the angle to a uniform field that nothing senses up to which a scalar counts as independent of it: north and down of
+/// places in a frame differ by as much.
+const UNSENSED: f64 = 0.1;
+
+/// What a uniform field along a direction is called.
+pub fn uniform_name(direction: &[f64; 3]) -> String {
+    let axis = direction.iter().position(|c| c.abs() > 1.0 - 1e-6);
+    match axis {
+        Some(i) => format!("uniform field to the {}", ["north", "east", "nadir"][i]),
+        None => {
+            let [n, e, d] = direction;
+            format!("uniform field along [{n:.3}, {e:.3}, {d:.3}] (north, east, down)")
+        }
+    }
+}
+
 /// The box that the observations filled: least and greatest north, east and down, metres.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Region {
@@ -222,6 +238,26 @@ impl RectangularHarmonicModel {
     /// What the fit said of itself, where the model was fitted.
     pub fn summary(&self) -> Option<&FitSummary> {
         self.summary.as_ref()
+    }
+
+    /// A quantity as this model knows it: what was fitted as a projection on the main field is read as one again, for the part of
+    /// the field across it, which the length of the sum would count, was not observed.
+    pub(crate) fn as_fitted(&self, quantity: Quantity) -> Quantity {
+        if !self.summary.as_ref().is_some_and(|s| s.projected) {
+            return quantity;
+        }
+        match quantity {
+            Quantity::Anomaly(main) => Quantity::Projection(main),
+            Quantity::Intensity(main) => Quantity::ProjectedIntensity(main),
+            other => other,
+        }
+    }
+
+    /// The name of a uniform field along which a scalar is sensitive and that no observation senses, where there is one.
+    pub(crate) fn unsensed(&self, direction: [f64; 3]) -> Option<String> {
+        let length = evaluate::norm(direction);
+        let along = |n: &[f64; 3]| (0..3).map(|i| n[i] * direction[i]).sum::<f64>().abs() > UNSENSED * length;
+        self.summary.as_ref()?.undetermined.iter().find(|n| along(n)).map(uniform_name)
     }
 
     /// Whether the covariance of the coefficients is known.

@@ -157,6 +157,36 @@ pub(super) struct Solver {
     /// Share of the ridge that each coefficient gets.
     damping: DVector<f64>,
     inverse: Inverse,
+    undetermined: Vec<[f64; 3]>,
+}
+
+/// Share of the largest below which a direction of the uniform field counts as sensed by nothing.
+const UNSENSED: f64 = 1e-10;
+
+/// Directions of the uniform field (north, east, down) that no observation senses, from the equations of its three
+/// coefficients. Its columns vanish along them, so that they can be left out: each is told to be nil, which changes nothing else.
+fn leave_out_unsensed(gram: &mut DMatrix<f64>) -> Vec<[f64; 3]> {
+    if gram.nrows() < 3 {
+        return Vec::new();
+    }
+    let uniform = gram.fixed_view::<3, 3>(0, 0).into_owned();
+    let eigen = SymmetricEigen::new(uniform);
+    let largest = eigen.eigenvalues.max();
+    if !(largest > 0.0 && largest.is_finite()) {
+        return Vec::new();
+    }
+    let mut out = Vec::new();
+    for (value, vector) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+        if *value <= UNSENSED * largest {
+            for i in 0..3 {
+                for j in 0..3 {
+                    gram[(i, j)] += largest * vector[i] * vector[j];
+                }
+            }
+            out.push([vector[0], vector[1], vector[2]]);
+        }
+    }
+    out
 }
 
 #[derive(Debug)]
@@ -170,6 +200,7 @@ impl Solver {
     /// Scales the columns to unit norm and factorises. `damping` multiplies the ridge of each coefficient.
     pub(super) fn new(mut gram: DMatrix<f64>, regularisation: Regularisation, damping: &[f64]) -> Result<Self> {
         let n = gram.nrows();
+        let undetermined = leave_out_unsensed(&mut gram);
         let damping = DVector::from_column_slice(&damping[..n]);
         let scale = DVector::from_fn(n, |i, _| gram[(i, i)].sqrt());
         if let Some(i) = (0..n).find(|&i| !(scale[i] > 0.0 && scale[i].is_finite())) {
@@ -200,7 +231,7 @@ impl Solver {
                 Inverse::Truncated(vectors, DVector::from_fn(kept.len(), |k, _| 1.0 / eigen.eigenvalues[kept[k]]))
             }
         };
-        Ok(Self { scale, damping, inverse })
+        Ok(Self { scale, damping, inverse, undetermined })
     }
 
     /// Coefficients for `A'b`.
@@ -224,8 +255,17 @@ impl Solver {
         }
     }
 
+    /// Directions of the uniform field that nothing senses: they are nil in every solution.
+    pub(super) fn undetermined(&self) -> &[[f64; 3]] {
+        &self.undetermined
+    }
+
     /// Number of directions that the observations decide, not the regularisation.
     pub(super) fn effective_parameters(&self) -> f64 {
+        self.decided() - self.undetermined.len() as f64
+    }
+
+    fn decided(&self) -> f64 {
         let n = self.scale.len();
         match &self.inverse {
             Inverse::Ridge(_, 0.0) => n as f64,

@@ -41,6 +41,7 @@ pub(crate) struct Row {
 pub struct Observations {
     pub(crate) points: Vec<[f64; 3]>,
     pub(crate) rows: Vec<Row>,
+    pub(crate) anomalies: bool,
 }
 
 impl Observations {
@@ -112,7 +113,14 @@ impl Observations {
         self.scalar(positions, values, main_field, sigma, |main| {
             let length = super::evaluate::norm(main);
             Sensed::Along(main.map(|c| c / length))
-        })
+        })?;
+        self.anomalies |= !values.is_empty();
+        Ok(())
+    }
+
+    /// Whether any of them are total-field anomalies.
+    pub(crate) fn has_anomalies(&self) -> bool {
+        self.anomalies
     }
 
     /// Adds total intensities: the length of `main_field` plus the field. Fitted by Gauss-Newton steps.

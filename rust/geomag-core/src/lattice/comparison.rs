@@ -9,11 +9,12 @@ use super::OffsetLattice;
 use super::best_two::BestTwo;
 use super::shift::{Classes, Row, Shift};
 use super::simd::{Real, dispatch};
-use super::tile::{MAX_SLOTS, Measure, TILE_COLUMNS, TILE_ROWS, Tile, TileScores};
+use super::tile::{Floor, MAX_SLOTS, Measure, TILE_COLUMNS, TILE_ROWS, Tile, TileScores};
 use crate::error::{Error, Result, grantable, require_weights};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues, Interpolation};
 use crate::monitor::Monitor;
+use crate::stack::Storey;
 
 /// Offset-samples below which waking other threads costs more than it saves.
 const SERIAL: usize = 1 << 16;
@@ -28,6 +29,9 @@ pub struct Comparison<'a> {
     weights: Option<Vec<f64>>,
     interpolation: Interpolation,
     min_samples: usize,
+    /// Heights of the points and where they lie among the levels of a stack; empty on a field of one surface.
+    heights_m: Vec<f64>,
+    storeys: Vec<Storey>,
 }
 
 impl<'a> Comparison<'a> {
@@ -53,7 +57,34 @@ impl<'a> Comparison<'a> {
         if let Some(w) = &weights {
             require_weights(w, n)?;
         }
-        Ok(Self { field, lattice, points, values, weights, interpolation, min_samples: min_samples.max(1) })
+        Ok(Self {
+            field,
+            lattice,
+            points,
+            values,
+            weights,
+            interpolation,
+            min_samples: min_samples.max(1),
+            heights_m: Vec::new(),
+            storeys: Vec::new(),
+        })
+    }
+
+    /// The same comparison with the points at these heights, where the field is known at several.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of heights than points, [`Error::Invalid`] for one outside the stack.
+    pub fn at_heights(mut self, heights_m: Option<&[f64]>) -> Result<Self> {
+        let Some(heights) = heights_m.filter(|_| self.field.as_grid().is_none()) else { return Ok(self) };
+        if heights.len() != self.points.len() {
+            let needed = format!("({},) as the track", self.points.len());
+            return Err(Error::shape("height_m", needed, format!("({},)", heights.len())));
+        }
+        if let Some(stack) = self.field.as_stack() {
+            self.storeys = stack.storeys(heights)?;
+        }
+        self.heights_m = heights.to_vec();
+        Ok(self)
     }
 
     /// The lattice.
@@ -99,7 +130,11 @@ impl<'a> Comparison<'a> {
                 let (cx, cy) = (ox / grid.x().step(), oy / grid.y().step());
                 grid.at_position(px + cx, py + cy, self.interpolation).0
             }
-            None => self.field.value(x + ox, y + oy),
+            None => match (self.field.as_stack(), self.heights_m.get(k)) {
+                (Some(stack), Some(&height)) => stack.sample(x + ox, y + oy, height, self.interpolation),
+                (None, Some(&height)) => self.field.value_at(x + ox, y + oy, height),
+                _ => self.field.value(x + ox, y + oy),
+            },
         }
     }
 
@@ -108,7 +143,7 @@ impl<'a> Comparison<'a> {
         if self.interpolation != Interpolation::Bilinear {
             return None;
         }
-        let grid = self.field.as_grid()?;
+        let grid = self.field.layout().filter(|_| self.field.as_stack().is_none() || !self.storeys.is_empty())?;
         Some((grid, Classes::of(grid, self.lattice.step)?))
     }
 
@@ -246,11 +281,35 @@ impl<'a> Comparison<'a> {
         for class in 0..qx.min(out.len()) {
             let start = [first as i64 - half[0] as i64, row as i64 - half[1] as i64];
             let shift = classes.shift(position, start, [class, 0]);
-            match grid.values() {
+            let level = |grid: &GridMap, out: &mut [f64]| match grid.values() {
                 GridValues::F64(v) => dispatch(Row { values: v, grid, shift, out, first: class, stride: qx }),
                 GridValues::F32(v) => dispatch(Row { values: v, grid, shift, out, first: class, stride: qx }),
+            };
+            let (Some(stack), Some(storey)) = (self.field.as_stack(), self.storeys.get(k)) else {
+                level(grid, out);
+                continue;
+            };
+            level(&stack.levels()[storey.level], out);
+            if storey.share > 0.0 {
+                let mut above = vec![0.0; out.len()];
+                level(&stack.levels()[storey.level + 1], &mut above);
+                for (out, above) in out.iter_mut().zip(&above).skip(class).step_by(qx) {
+                    *out += storey.share * (above - *out);
+                }
             }
         }
+    }
+
+    /// Where the nodes of every sample are read, on a stack of levels; empty on a map.
+    fn floors<T: Real>(&self) -> Vec<Floor<'a, T>> {
+        let Some(stack) = self.field.as_stack() else { return Vec::new() };
+        let nodes = |level: usize| T::of(stack.levels()[level].values());
+        let floor = |storey: &Storey| Floor {
+            below: nodes(storey.level),
+            above: (storey.share > 0.0).then(|| (nodes(storey.level + 1), T::from_f64(storey.share))),
+            grids: [storey.level, storey.level + usize::from(storey.share > 0.0)].map(|level| &*stack.levels()[level]),
+        };
+        self.storeys.iter().map(floor).collect()
     }
 
     #[allow(clippy::too_many_arguments)] // internal, one call
@@ -269,6 +328,7 @@ impl<'a> Comparison<'a> {
         let positions: Vec<[f64; 2]> = self.points.iter().map(|p| grid.position(p[0], p[1])).collect();
         let measured: Vec<T> = self.values.iter().map(|&v| T::from_f64(v)).collect();
         let weights: Option<Vec<T>> = self.weights.as_ref().map(|w| w.iter().map(|&w| T::from_f64(w)).collect());
+        let floors = self.floors::<T>();
         let total_weight: f64 = (0..self.points.len()).map(|k| self.weight(k)).sum();
         let [qx, qy] = classes.per_cell;
         let width = columns.len();
@@ -291,6 +351,7 @@ impl<'a> Comparison<'a> {
                         let tile = Tile {
                             values,
                             grid,
+                            floors: &floors,
                             shifts,
                             measured: &measured,
                             weights: weights.as_deref(),

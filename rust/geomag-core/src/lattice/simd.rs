@@ -5,6 +5,8 @@
 
 use pulp::Simd;
 
+use crate::grid::GridValues;
+
 /// A number of the kernels, alone and as a vector.
 pub trait Real: Copy + PartialOrd + Send + Sync + Default + std::fmt::Debug + 'static {
     /// A vector of the instruction set `S`.
@@ -17,6 +19,10 @@ pub trait Real: Copy + PartialOrd + Send + Sync + Default + std::fmt::Debug + 's
     fn from_f64(value: f64) -> Self;
     /// In double precision.
     fn to_f64(self) -> f64;
+    /// The values of a map in this precision; nothing of one that is kept in the other.
+    fn of(values: &GridValues) -> &[Self];
+    /// `a + share (b - a)`.
+    fn mix(a: Self, b: Self, share: Self) -> Self;
     /// Whole vectors of a slice, and the rest.
     fn vectors<S: Simd>(slice: &[Self]) -> (&[Self::Vector<S>], &[Self]);
     /// Whole vectors of a slice, to write to.
@@ -42,7 +48,7 @@ pub trait Real: Copy + PartialOrd + Send + Sync + Default + std::fmt::Debug + 's
 }
 
 macro_rules! real {
-    ($t:ty, $v:ident, $lanes:ident, $as:ident, $as_mut:ident, $load:ident, $splat:ident, $fma:ident, $add:ident,
+    ($t:ty, $kind:ident, $v:ident, $lanes:ident, $as:ident, $as_mut:ident, $load:ident, $splat:ident, $fma:ident, $add:ident,
      $sub:ident, $mul:ident, $abs:ident, $equal:ident, $select:ident, $rotate:ident, $between:ident) => {
         impl Real for $t {
             type Vector<S: Simd> = S::$v;
@@ -61,6 +67,16 @@ macro_rules! real {
             #[inline(always)]
             fn to_f64(self) -> f64 {
                 f64::from(self)
+            }
+            fn of(values: &GridValues) -> &[Self] {
+                match values {
+                    GridValues::$kind(values) => values,
+                    _ => &[],
+                }
+            }
+            #[inline(always)]
+            fn mix(a: Self, b: Self, share: Self) -> Self {
+                a + share * (b - a)
             }
             #[inline(always)]
             fn vectors<S: Simd>(slice: &[Self]) -> (&[S::$v], &[Self]) {
@@ -112,6 +128,7 @@ macro_rules! real {
 }
 real!(
     f32,
+    F32,
     f32s,
     F32_LANES,
     as_simd_f32s,
@@ -130,6 +147,7 @@ real!(
 );
 real!(
     f64,
+    F64,
     f64s,
     F64_LANES,
     as_simd_f64s,

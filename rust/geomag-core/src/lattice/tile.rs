@@ -82,11 +82,21 @@ impl<T> TileScores<T> {
     }
 }
 
+/// Where the nodes of one sample are read on a stack of levels: those of the level below, and of the one above with its share.
+#[derive(Clone, Copy)]
+pub(super) struct Floor<'a, T> {
+    pub below: &'a [T],
+    pub above: Option<(&'a [T], T)>,
+    pub grids: [&'a GridMap; 2],
+}
+
 /// A block of offsets of one class and everything that its sums need.
 #[derive(Clone, Copy)]
 pub(super) struct Tile<'a, T> {
     pub values: &'a [T],
     pub grid: &'a GridMap,
+    /// One a sample on a stack of levels, none on a map.
+    pub floors: &'a [Floor<'a, T>],
     pub shifts: &'a [Shift],
     pub measured: &'a [T],
     pub weights: Option<&'a [T]>,
@@ -98,7 +108,7 @@ pub(super) struct Tile<'a, T> {
     pub columns: usize,
 }
 
-impl<T: Real> Tile<'_, T> {
+impl<'a, T: Real> Tile<'a, T> {
     fn map_rows(&self) -> usize {
         self.grid.y().len()
     }
@@ -109,11 +119,14 @@ impl<T: Real> Tile<'_, T> {
 
     /// Whether a sample of an offset may fall on a hole; the samples are inside the map.
     fn may_meet_holes(&self) -> bool {
-        self.grid.holes() > 0
-            && self.shifts.iter().any(|s| {
-                let (row, column) = (s.row as usize, (s.column + self.first_column) as usize);
-                self.grid.may_have_holes(row..row + self.rows + 1, column..column + self.columns + 1)
-            })
+        let holed = |grid: &GridMap, s: &Shift| {
+            let (row, column) = (s.row as usize, (s.column + self.first_column) as usize);
+            grid.holes() > 0 && grid.may_have_holes(row..row + self.rows + 1, column..column + self.columns + 1)
+        };
+        if self.floors.is_empty() {
+            return self.grid.holes() > 0 && self.shifts.iter().any(|s| holed(self.grid, s));
+        }
+        self.shifts.iter().zip(self.floors).any(|(s, floor)| floor.grids.iter().any(|grid| holed(grid, s)))
     }
 
     /// Whether every offset has this sample on the map.
@@ -145,8 +158,32 @@ impl<T: Real> Tile<'_, T> {
         (start + (height - 1) * self.map_columns() + width <= self.values.len()).then_some(start)
     }
 
-    /// Copies the nodes of a sample to the end of `out`, `outside` where the map has none.
-    fn copy_nodes(&self, s: &Shift, height: usize, width: usize, outside: T, out: &mut Vec<T>) {
+    /// The nodes that sample `k` is read from: those of its level, or of the map.
+    fn nodes(&self, k: usize) -> &'a [T] {
+        self.floors.get(k).map_or(self.values, |floor| floor.below)
+    }
+
+    /// Whether sample `k` lies between two levels, so that its nodes have to be mixed.
+    fn mixed(&self, k: usize) -> bool {
+        self.floors.get(k).is_some_and(|floor| floor.above.is_some())
+    }
+
+    /// Copies the nodes of sample `k` to the end of `out`, `outside` where the map has none; mixed between two levels.
+    fn copy_nodes(&self, k: usize, height: usize, width: usize, outside: T, out: &mut Vec<T>) {
+        let s = &self.shifts[k];
+        let start = out.len();
+        self.copy_level(self.nodes(k), s, height, width, outside, out);
+        let Some((above, share)) = self.floors.get(k).and_then(|floor| floor.above) else { return };
+        let middle = out.len();
+        self.copy_level(above, s, height, width, outside, out);
+        let (below, above) = out[start..].split_at_mut(middle - start);
+        for (below, above) in below.iter_mut().zip(above) {
+            *below = T::mix(*below, *above, share);
+        }
+        out.truncate(middle);
+    }
+
+    fn copy_level(&self, values: &[T], s: &Shift, height: usize, width: usize, outside: T, out: &mut Vec<T>) {
         let column = s.column + self.first_column;
         let first = column.clamp(0, self.map_columns() as i64);
         let last = (column + width as i64).clamp(first, self.map_columns() as i64);
@@ -155,7 +192,7 @@ impl<T: Real> Tile<'_, T> {
             out.resize(at + width, outside);
             if (0..self.map_rows() as i64).contains(&row) && first < last {
                 let start = row as usize * self.map_columns();
-                let source = &self.values[start + first as usize..start + last as usize];
+                let source = &values[start + first as usize..start + last as usize];
                 out[at + (first - column) as usize..at + (last - column) as usize].copy_from_slice(source);
             }
         }
@@ -200,19 +237,22 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
             let group = group.min(tile.shifts.len() - first);
             let on_map: [Option<usize>; GROUP] = std::array::from_fn(|i| {
                 let shift = tile.shifts[first..first + group].get(i)?;
+                if tile.mixed(first + i) {
+                    return None;
+                }
                 tile.on_map(shift, height - usize::from(shift.ty == 0.0), width)
             });
             scores.overhang.clear();
-            for (shift, on_map) in tile.shifts[first..first + group].iter().zip(on_map) {
+            for (i, on_map) in on_map.iter().enumerate().take(group) {
                 if on_map.is_none() {
-                    tile.copy_nodes(shift, height, width, T::from_f64(outside), &mut scores.overhang);
+                    tile.copy_nodes(first + i, height, width, T::from_f64(outside), &mut scores.overhang);
                 }
             }
             let mut copied = scores.overhang.chunks_exact(height * width);
             let samples: [Sample<'_, T>; GROUP] = std::array::from_fn(|i| {
                 let k = (first + i).min(tile.shifts.len() - 1);
                 let (nodes, stride) = match on_map[i] {
-                    Some(at) => (&tile.values[at..], tile.map_columns()),
+                    Some(at) => (&tile.nodes(k)[at..], tile.map_columns()),
                     None => (copied.next().unwrap_or(&[]), width),
                 };
                 let weight = tile.weights.map_or(T::from_f64(1.0), |w| w[k]);

@@ -12,6 +12,7 @@ use crate::lattice::{BestTwo, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice,
 use crate::matching::local_fit::LocalFit;
 use crate::matching::similarity::{Criterion, Robust, Scoring};
 use crate::monitor::Monitor;
+use crate::stack::{read_heights, served};
 use crate::statistics::chi_square_survival;
 use crate::track::Track;
 
@@ -168,6 +169,13 @@ struct Best {
 /// [`Error::Invalid`] for options out of range, [`Error::TooManyCandidates`], [`Error::TooFewSamples`], [`Error::Interrupted`].
 pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor: &dyn Monitor) -> Result<Fix> {
     search.check(track)?;
+    let served = served(field, track)?;
+    let mut fix = search_served(served.field(), track, search, monitor)?;
+    fix.heights_m = read_heights(&[served], track);
+    Ok(fix)
+}
+
+fn search_served(field: &dyn Field, track: &Track, search: &GridSearch, monitor: &dyn Monitor) -> Result<Fix> {
     let spacing = field.spacing();
     let step = search.step.unwrap_or(spacing);
     let placements: Vec<(f64, f64)> =
@@ -184,7 +192,8 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
         let points = place_track(field, track, heading, scale, search.pivot);
         let points = search.counting(points.len()).map(|k| points[k]).collect();
         let values = measured.values().to_vec();
-        Comparison::new(field, lattice, points, values, weights.clone(), interpolation, min_samples)
+        Comparison::new(field, lattice, points, values, weights.clone(), interpolation, min_samples)?
+            .at_heights(measured.height_m())
     };
 
     let away: [f64; 2] = std::array::from_fn(|d| (2.0 * spacing[d] / step[d] - 1e-9).max(1.0));
@@ -387,7 +396,7 @@ fn least_of(slice: &[f64]) -> f64 {
 
 /// The answer where no candidate has a score.
 fn no_score(field: &dyn Field, track: &Track, search: &GridSearch, lattice: &OffsetLattice) -> Fix {
-    let in_reach = field.as_grid().is_none_or(|grid| {
+    let in_reach = field.layout().is_none_or(|grid| {
         let reach = |k: usize, d: usize| {
             let [x, y] = [grid.wrap_x(track.x()[k]), track.y()[k]];
             let axis = if d == 0 { grid.x() } else { grid.y() };

@@ -15,6 +15,7 @@ use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
 use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
 use crate::monitor::{Monitor, Quiet};
+use crate::stack::{Storey, check_heights, extent};
 use crate::track::Track;
 
 /// The gate of the paper, in standard deviations.
@@ -170,7 +171,7 @@ impl Iema {
         }
         let lattice =
             OffsetLattice::new(options.half_width, options.step.unwrap_or(field.spacing()), options.max_candidates)?;
-        let classes = field.as_grid().and_then(|grid| Classes::of(grid, lattice.step()));
+        let classes = field.layout().and_then(|grid| Classes::of(grid, lattice.step()));
         Ok(Self { field, options, lattice, classes, state: State { n_samples: 0, feasible: None }, shifts: Vec::new() })
     }
 
@@ -230,9 +231,21 @@ impl Iema {
     /// # Errors
     /// [`Error::NotFinite`] for a NaN or infinite argument, [`Error::NoMemory`]; the state is then as it was.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<IemaStep> {
+        self.update_at(x, y, value, None)
+    }
+
+    /// [`Iema::update`] with the height of the sample, metres above the map's height datum: needed on a stack of levels.
+    ///
+    /// # Errors
+    /// As [`Iema::update`]; [`Error::Invalid`] for a height that the map does not serve.
+    pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<IemaStep> {
         require_finite("indicated x", &[x])?;
         require_finite("indicated y", &[y])?;
         require_finite("value", &[value])?;
+        if height_m.is_some() || self.field.as_stack().is_some() {
+            let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
+            check_heights(&*self.field, &sample)?;
+        }
         let test = Test {
             value,
             inverse_sigma: 1.0 / self.options.sigma,
@@ -242,10 +255,10 @@ impl Iema {
             unknown: self.options.unknown,
         };
         let feasible = match self.state.feasible.take() {
-            None => self.first(x, y, &test)?,
+            None => self.first([x, y], height_m, &test)?,
             Some(list) => {
                 self.place(x, y);
-                self.later(list, x, y, &test)
+                self.later(list, [x, y], height_m, &test)
             }
         };
         self.state.feasible = Some(feasible);
@@ -271,9 +284,11 @@ impl Iema {
         self.reset();
         for k in 0..track.len() {
             monitor.advance(k as u64, track.len() as u64)?;
-            let step = self.update(track.x()[k], track.y()[k], track.values()[k])?;
+            let height = track.height_m().map(|h| h[k]);
+            let step = self.update_at(track.x()[k], track.y()[k], track.values()[k], height)?;
             if step.status != Status::Searching || k + 1 == track.len() {
                 let mut fix = step.fix(&*self.field);
+                fix.heights_m = self.field.as_stack().and(track.height_m()).and_then(extent);
                 if fix.x.is_finite() {
                     let seen = track.slice(0..k + 1)?;
                     fix.track = Fix::at_offset(&*self.field, &seen, step.best_offset, step.status).track;
@@ -311,7 +326,7 @@ impl Iema {
     }
 
     /// The first sample: whole rows through the lattice kernels, only survivors are kept.
-    fn first(&self, x: f64, y: f64, test: &Test) -> Result<Vec<Candidate>> {
+    fn first(&self, [x, y]: [f64; 2], height_m: Option<f64>, test: &Test) -> Result<Vec<Candidate>> {
         let comparison = Comparison::new(
             &*self.field,
             self.lattice,
@@ -320,7 +335,8 @@ impl Iema {
             None,
             Interpolation::Bilinear,
             1,
-        )?;
+        )?
+        .at_heights(height_m.as_ref().map(std::slice::from_ref))?;
         let columns = self.lattice.columns();
         let row_survivors = |row: usize, values: &mut Vec<f64>, out: &mut Vec<Candidate>| {
             values.resize(columns, 0.0);
@@ -361,7 +377,7 @@ impl Iema {
     /// Weights of every class of offsets for a sample at a point.
     fn place(&mut self, x: f64, y: f64) {
         self.shifts.clear();
-        if let (Some(grid), Some(classes)) = (self.field.as_grid(), self.classes) {
+        if let (Some(grid), Some(classes)) = (self.field.layout(), self.classes) {
             let position = grid.position(x, y);
             let half = self.lattice.half().map(|h| -(h as i64));
             let [qx, qy] = classes.per_cell;
@@ -371,8 +387,8 @@ impl Iema {
     }
 
     /// Later samples: the survivors alone.
-    fn later(&self, mut list: Vec<Candidate>, x: f64, y: f64, test: &Test) -> Vec<Candidate> {
-        let sampler = Sampler::new(self, x, y);
+    fn later(&self, mut list: Vec<Candidate>, at: [f64; 2], height_m: Option<f64>, test: &Test) -> Vec<Candidate> {
+        let sampler = Sampler::new(self, at, height_m);
         if list.len() < 2 * CHUNK {
             // In place: no allocation after the first sample.
             let mut kept = 0;
@@ -504,33 +520,62 @@ impl Test {
 
 /// Map values of one sample under any offset of the lattice.
 enum Sampler<'a> {
-    Grid { grid: &'a GridMap, per_cell: [u32; 2], shifts: &'a [Shift] },
-    Any { field: &'a dyn Field, lattice: &'a OffsetLattice, x: f64, y: f64 },
+    Grid {
+        grid: &'a GridMap,
+        /// The level above and its share, where the sample lies between two.
+        above: Option<(&'a GridMap, f64)>,
+        per_cell: [u32; 2],
+        shifts: &'a [Shift],
+    },
+    Any {
+        field: &'a dyn Field,
+        lattice: &'a OffsetLattice,
+        at: [f64; 2],
+        height_m: Option<f64>,
+    },
 }
 
 impl<'a> Sampler<'a> {
-    fn new(iema: &'a Iema, x: f64, y: f64) -> Self {
-        match (iema.field.as_grid(), iema.classes) {
-            (Some(grid), Some(classes)) => {
-                Self::Grid { grid, per_cell: classes.per_cell.map(|q| q as u32), shifts: &iema.shifts }
+    fn new(iema: &'a Iema, at: [f64; 2], height_m: Option<f64>) -> Self {
+        let storey = iema.field.as_stack().zip(height_m).and_then(|(stack, h)| Some((stack, stack.storey(h)?)));
+        let (grid, above) = match storey {
+            Some((stack, Storey { level, share })) => {
+                let above = (share > 0.0).then(|| (&*stack.levels()[level + 1], share));
+                (Some(&*stack.levels()[level]), above)
             }
-            _ => Self::Any { field: &*iema.field, lattice: &iema.lattice, x, y },
+            None => (iema.field.as_grid(), None),
+        };
+        match (grid, iema.classes) {
+            (Some(grid), Some(classes)) => {
+                Self::Grid { grid, above, per_cell: classes.per_cell.map(|q| q as u32), shifts: &iema.shifts }
+            }
+            _ => Self::Any { field: &*iema.field, lattice: &iema.lattice, at, height_m },
         }
     }
 
     #[inline]
     fn value(&self, row: u32, column: u32) -> f64 {
         match self {
-            Self::Grid { grid, per_cell: [qx, qy], shifts } => {
-                if *qx == 1 && *qy == 1 {
-                    return value_at(grid, &shifts[0], row as usize, column as usize);
+            Self::Grid { grid, above, per_cell: [qx, qy], shifts } => {
+                let (shift, row, column) = if *qx == 1 && *qy == 1 {
+                    (&shifts[0], row, column)
+                } else {
+                    (&shifts[(row % qy * qx + column % qx) as usize], row / qy, column / qx)
+                };
+                let below = value_at(grid, shift, row as usize, column as usize);
+                match above {
+                    None => below,
+                    Some((grid, share)) => {
+                        below + share * (value_at(grid, shift, row as usize, column as usize) - below)
+                    }
                 }
-                let shift = &shifts[(row % qy * qx + column % qx) as usize];
-                value_at(grid, shift, (row / qy) as usize, (column / qx) as usize)
             }
-            Self::Any { field, lattice, x, y } => {
+            Self::Any { field, lattice, at: [x, y], height_m } => {
                 let [ox, oy] = lattice.offset(row as usize, column as usize);
-                field.value(x + ox, y + oy)
+                match height_m {
+                    Some(height) => field.value_at(x + ox, y + oy, *height),
+                    None => field.value(x + ox, y + oy),
+                }
             }
         }
     }

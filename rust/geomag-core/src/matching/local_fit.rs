@@ -47,7 +47,10 @@ impl LocalFit {
             if weight == 0.0 {
                 continue;
             }
-            let (m, [east, north]) = field.value_and_gradient(p[0], p[1]);
+            let (m, [east, north]) = match track.height_m() {
+                Some(heights) => field.value_and_gradient_at(p[0], p[1], heights[k]),
+                None => field.value_and_gradient(p[0], p[1]),
+            };
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
             }

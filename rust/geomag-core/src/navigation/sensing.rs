@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
 use crate::grid::{Axis, GridMap, GridValues, Interpolation};
-use crate::harmonic::{Level, Positions, Quantity, RectangularHarmonicModel};
+use crate::harmonic::{HarmonicMap, Level, Positions, Quantity, RectangularHarmonicModel};
 
 /// Nodes along each axis at which the standard deviation of a model is computed beforehand.
 const SIGMA_NODES: usize = 9;
@@ -75,9 +75,18 @@ impl Sensing {
     }
 
     fn harmonic(model: Arc<RectangularHarmonicModel>, sensor: Sensor, level: Level) -> Result<Self> {
-        if let Sensor::Scalar(quantity) = sensor {
-            quantity.validate()?;
-        }
+        let sensor = match sensor {
+            Sensor::Scalar(quantity) => {
+                HarmonicMap::on(Arc::clone(&model), quantity, level)?;
+                Sensor::Scalar(model.as_fitted(quantity))
+            }
+            Sensor::Vector => {
+                for axis in [Quantity::North, Quantity::East, Quantity::Down] {
+                    HarmonicMap::on(Arc::clone(&model), axis, level)?;
+                }
+                Sensor::Vector
+            }
+        };
         let shared = Arc::clone(&model);
         let flat = match level {
             Level::Down(down) if model.region().down_m[0] <= down && model.contains(centre_of(&model, down)) => {

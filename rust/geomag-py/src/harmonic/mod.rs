@@ -9,7 +9,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::harmonic::{
     HarmonicMap, MAX_ORDER, Observations, Positions, Quantity, RectangularHarmonicModel, Region, leave_out, select,
-    terms,
+    terms, uniform_name,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -48,7 +48,7 @@ pub fn quantity_name(quantity: Quantity) -> (&'static str, Option<[f64; 3]>) {
         Quantity::Down => ("down", None),
         Quantity::Projection(main) => ("projection", Some(main)),
         Quantity::Anomaly(main) => ("anomaly", Some(main)),
-        Quantity::Intensity(main) => ("intensity", Some(main)),
+        Quantity::Intensity(main) | Quantity::ProjectedIntensity(main) => ("intensity", Some(main)),
     }
 }
 
@@ -727,7 +727,8 @@ impl PyHarmonicModel {
         (misfit.nugget, misfit.scale)
     }
 
-    /// How the fit went; none where the model was not fitted.
+    /// How the fit went; none where the model was not fitted. `undetermined` names the constants that no observation senses, such as a
+    /// uniform field to the north where only the vertical component was measured: they are left out, nil in the model.
     #[getter]
     fn summary<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
         let Some(s) = self.inner.summary() else { return Ok(None) };
@@ -738,6 +739,7 @@ impl PyHarmonicModel {
         out.set_item("effective_parameters", s.effective_parameters)?;
         out.set_item("iterations", s.iterations)?;
         out.set_item("converged", s.converged)?;
+        out.set_item("undetermined", s.undetermined.iter().map(uniform_name).collect::<Vec<_>>())?;
         Ok(Some(out))
     }
 

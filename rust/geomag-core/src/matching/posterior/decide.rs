@@ -63,7 +63,8 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         second[1] += p[i] * de * dn;
         second[2] += p[i] * (dn * dn + blur2);
     }
-    let risk = (1.0 - inside).clamp(0.0, 1.0);
+    let computed = (1.0 - inside).clamp(0.0, 1.0);
+    let risk = problem.declared(computed);
     let offset = [centre[0] / scale[0], centre[1] / scale[1]];
     let detail = problem.detail(offset, posterior.step);
     let runner_up = posterior
@@ -76,7 +77,8 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         })
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
-    let mut status = status(problem, posterior, lattice, &p, offset, risk, detail.goodness, runner_up, second);
+    let mut status =
+        status(problem, posterior, lattice, &p, offset, [computed, risk], detail.goodness, runner_up, second);
     // Only what would be used has to stand the tests.
     let misfit = if status == Status::Fixed { misfit::asked_for(problem, offset, posterior.step) } else { None };
     if misfit.is_some() {
@@ -110,7 +112,7 @@ fn status(
     lattice: &Lattice,
     p: &[f64],
     offset: [f64; 2],
-    risk: f64,
+    [computed, risk]: [f64; 2],
     goodness: f64,
     runner_up: f64,
     second: [f64; 3],
@@ -142,7 +144,7 @@ fn status(
         let there = posterior.offsets[rival];
         let distance = ((there[0] - offset[0]) * scale[0]).hypot((there[1] - offset[1]) * scale[1]);
         let mass: f64 = posterior.offsets.iter().zip(p).filter(|(o, _)| !far(**o, there)).map(|(_, p)| *p).sum();
-        if distance > 2.0 * problem.tolerance_m && mass > 0.5 * risk {
+        if distance > 2.0 * problem.tolerance_m && mass > 0.5 * computed {
             return Status::Ambiguous;
         }
     }

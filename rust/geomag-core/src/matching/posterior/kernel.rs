@@ -245,7 +245,6 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], levels: &[Le
     // A surface that bends twice as much as the bilinear one does at its nodes.
     let bends = if cubic { 1.5 } else { 1.0 };
     let cells = Cells::new(offsets);
-    let [even_variance, even_distance] = setup.patch.everywhere();
     for k in 0..n {
         let row = &mut scratch.rows[k];
         let mut spots = setup.patch.locate(setup.places[k], &cells);
@@ -321,6 +320,7 @@ fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], levels: &[Le
             }
         }
         if setup.patch.even {
+            let [even_variance, even_distance] = setup.patch.everywhere(setup.places[k]);
             for l in 0..LANES {
                 row.map_variance[l] = known[l] * even_variance * unit * unit;
                 row.distance[l] = known[l] * even_distance;

@@ -48,6 +48,7 @@ use crate::error::Result;
 use crate::field::Field;
 use crate::fix::Fix;
 use crate::monitor::{Monitor, Quiet};
+use crate::stack::{Served, read_heights, served};
 use crate::track::Track;
 use problem::{Interruption, Problem};
 use rayon::prelude::*;
@@ -108,8 +109,13 @@ pub fn match_interruptible(
     options: &PosteriorOptions,
     monitor: &dyn Monitor,
 ) -> Result<Fix> {
+    let served: Vec<Served<'_>> = channels.iter().map(|c| served(c.field, track)).collect::<Result<_>>()?;
+    let channels: Vec<Channel<'_>> =
+        channels.iter().zip(&served).map(|(c, served)| Channel { field: served.field(), ..*c }).collect();
     // One entry into the pool of threads, not one a stage.
-    rayon::scope(|_| solve(channels, track, options, monitor))
+    let mut fix = rayon::scope(|_| solve(&channels, track, options, monitor))?;
+    fix.heights_m = read_heights(&served, track);
+    Ok(fix)
 }
 
 /// About how long a match takes with these options, nanoseconds of one thread.
@@ -191,7 +197,12 @@ pub fn stream_many(
                 let mut matcher = PosteriorMatcher::new(field.clone(), sigma, options.clone(), track.len().max(3))?;
                 for k in 0..track.len() {
                     here.advance(0, 0)?;
-                    let step = matcher.update(track.x()[k], track.y()[k], track.values()[k])?;
+                    let step = matcher.update_at(
+                        track.x()[k],
+                        track.y()[k],
+                        track.values()[k],
+                        track.height_m().map(|h| h[k]),
+                    )?;
                     if let Some(fix) = step.fix.filter(Fix::ok) {
                         return Ok(fix);
                     }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::grid::Interpolation;
+use crate::map_error::{Forecast, Recalibration};
 
 /// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
@@ -264,15 +265,19 @@ pub(super) struct Noise {
     /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
     pub levels_are_distances: bool,
     /// Standard deviation of the logarithm of a track's error level, 0 where the levels are no spread about the map's sigma.
-    spread: f64,
+    pub spread: f64,
     /// Correlation length and registration error, in distances to the data.
     pub correlation: f64,
     pub registration: f64,
+    /// How computed risks are to be read.
+    pub recalibration: Option<Recalibration>,
+    /// How planned flights fare.
+    pub forecast: Option<Forecast>,
 }
 
 impl Noise {
     pub fn new(channel: &Channel<'_>, options: &PosteriorOptions) -> Result<Self> {
-        let grid = channel.field.as_grid();
+        let grid = channel.field.layout();
         let model = grid.and_then(|g| g.error_model());
         let stated = grid.is_none_or(|g| g.map_sigma().is_some());
         let exact = match grid.and_then(|g| g.map_sigma()) {
@@ -370,6 +375,8 @@ impl Noise {
             spread: if exact || !stated { 0.0 } else { spread },
             correlation,
             registration,
+            recalibration: model.and_then(|m| m.recalibration),
+            forecast: model.and_then(|m| m.forecast),
         })
     }
 }

@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::{GridMap, MapSigma, at_height};
 use crate::map_error::DistanceLayer;
+use crate::stack::Storey;
 
 /// Where nothing is known of a map's error, it is taken to be displaced by this many cells.
 pub(super) const DEFAULT_ERROR_CELLS: f64 = 1.0;
@@ -47,7 +48,8 @@ pub(super) struct Patch {
     first: [i64; 2],
     columns: usize,
     rows: usize,
-    planes: [Vec<f32>; PLANES],
+    /// The planes of every level, lowest first; one where the field has one surface.
+    levels: Vec<[Vec<f32>; PLANES]>,
     /// Value subtracted from every node, so that single precision suffices.
     pub level: f64,
     /// Whether error variance and distance are the same at every node.
@@ -193,13 +195,22 @@ fn finite_or_zero(value: f32) -> f32 {
 pub(super) struct Place {
     whole: [i32; 2],
     part: [f32; 2],
+    /// The level below the place, and the share of the one above.
+    level: u32,
+    share: f32,
 }
 
 impl Place {
     #[inline(always)]
     pub fn new(cells: [f64; 2]) -> Self {
         let whole = cells.map(|c| c.floor().clamp(-1e9, 1e9));
-        Self { whole: whole.map(|w| w as i32), part: [0, 1].map(|d| (cells[d] - whole[d]) as f32) }
+        let part = [0, 1].map(|d| (cells[d] - whole[d]) as f32);
+        Self { whole: whole.map(|w| w as i32), part, level: 0, share: 0.0 }
+    }
+
+    /// The same place in a storey of the patch.
+    pub fn in_storey(self, storey: Storey) -> Self {
+        Self { level: storey.level as u32, share: storey.share as f32, ..self }
     }
 }
 
@@ -240,6 +251,9 @@ pub(super) struct Spots {
     column: [i32; LANES],
     row: [i32; LANES],
     way: Way,
+    /// The level below, and the share of the one above.
+    level: u32,
+    share: f32,
 }
 
 /// How the nodes around the places are read.
@@ -287,7 +301,7 @@ impl Patch {
     /// [`Error::TooManyCandidates`] for a field without a grid that would have to be evaluated at more than `most` nodes.
     pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2], most: u64, curved: bool) -> Result<Self> {
         let step = field.spacing();
-        let grid = field.as_grid();
+        let grid = field.layout();
         let origin = grid.map_or(low, |g| [g.x().first(), g.y().first()]);
         let far = i64::MAX / 4;
         let limits = grid.map_or([far; 2], |g| [g.x().len() as i64 - 1, g.y().len() as i64 - 1]);
@@ -308,13 +322,32 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let planes = std::array::from_fn(|q| vec![0.0; if q < ACROSS { columns * rows } else { 0 }]);
-        let mut patch = Self { origin, step, first, columns, rows, planes, level, even: false, curved };
+        let mut patch = Self { origin, step, first, columns, rows, levels: Vec::new(), level, even: false, curved };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
+        let grids: Vec<Option<&GridMap>> = match field.as_stack() {
+            Some(stack) => stack.levels().iter().map(|g| Some(&**g)).collect(),
+            None => vec![grid],
+        };
+        for grid in grids {
+            let mut planes = std::array::from_fn(|q| vec![0.0; if q < ACROSS { columns * rows } else { 0 }]);
+            patch.fill(&mut planes, field, grid, default_distance);
+            patch.fill_bends(&mut planes);
+            if grid.is_some_and(|g| g.map_sigma().is_none()) {
+                patch.fill_default_variance(&mut planes, [step[0] * east / cell_m, step[1] * north / cell_m]);
+            }
+            patch.levels.push(planes);
+        }
+        let even = |planes: &[Vec<f32>; PLANES], q: usize| planes[q].iter().all(|v| *v == planes[q][0]);
+        patch.even = patch.levels.iter().all(|planes| even(planes, VARIANCE) && even(planes, DISTANCE));
+        Ok(patch)
+    }
+
+    /// Value, variance and distance at the nodes of one level, or of a field without a grid.
+    fn fill(&self, planes: &mut [Vec<f32>; PLANES], field: &dyn Field, grid: Option<&GridMap>, default_distance: f32) {
         let map_columns = grid.map_or(0, |g| g.x().len());
-        for r in 0..rows {
-            for c in 0..columns {
-                let (row, column) = (first[1] + r as i64, first[0] + c as i64);
+        for r in 0..self.rows {
+            for c in 0..self.columns {
+                let (row, column) = (self.first[1] + r as i64, self.first[0] + c as i64);
                 let (value, sigma, distance) = if let Some(g) = grid {
                     let i = row as usize * map_columns + column as usize;
                     let sigma = match g.map_sigma() {
@@ -329,34 +362,29 @@ impl Patch {
                     };
                     (g.values().get(i), sigma, distance)
                 } else {
-                    let (x, y) = (origin[0] + column as f64 * step[0], origin[1] + row as f64 * step[1]);
+                    let x = self.origin[0] + column as f64 * self.step[0];
+                    let y = self.origin[1] + row as f64 * self.step[1];
                     (field.value(x, y), field.sigma(x, y), default_distance)
                 };
                 // A value of unknown error cannot be weighed: the place is as a hole (`Field::known_sigma`).
-                let value = if sigma.is_nan() || distance.is_nan() { f64::NAN } else { value - level };
+                let value = if sigma.is_nan() || distance.is_nan() { f64::NAN } else { value - self.level };
                 let node = [value as f32, (sigma * sigma) as f32, distance];
-                for (plane, quantity) in patch.planes.iter_mut().zip(node) {
-                    plane[r * columns + c] = quantity;
+                for (plane, quantity) in planes.iter_mut().zip(node) {
+                    plane[r * self.columns + c] = quantity;
                 }
             }
         }
-        patch.fill_bends();
-        if grid.is_some_and(|g| g.map_sigma().is_none()) {
-            patch.fill_default_variance([step[0] * east / cell_m, step[1] * north / cell_m]);
-        }
-        patch.even = [VARIANCE, DISTANCE].iter().all(|&q| patch.planes[q].iter().all(|v| *v == patch.planes[q][0]));
-        Ok(patch)
     }
 
     /// The same window of the map at a height above it, and how it changes over `about_m` on either side of that; with an `about_m` of
     /// zero, for a first look, its bends stay those of the map.
     pub fn lifted(&self, grid: &GridMap, height_m: f64, about_m: f64) -> Self {
         let mut lifted = self.clone();
-        lifted.planes[VALUE] = self.at_height(grid, height_m);
+        lifted.levels[0][VALUE] = self.at_height(grid, height_m);
         if about_m > 0.0 {
             let (below, above) = (self.at_height(grid, height_m - about_m), self.at_height(grid, height_m + about_m));
-            lifted.planes[LIFT] = above.iter().zip(&below).map(|(a, b)| finite_or_zero(0.5 * (a - b))).collect();
-            lifted.fill_bends();
+            lifted.levels[0][LIFT] = above.iter().zip(&below).map(|(a, b)| finite_or_zero(0.5 * (a - b))).collect();
+            self.fill_bends(&mut lifted.levels[0]);
         }
         lifted
     }
@@ -364,7 +392,7 @@ impl Patch {
     /// The values of the window at a height.
     fn at_height(&self, grid: &GridMap, height_m: f64) -> Vec<f32> {
         let (own, parts) = at_height(height_m);
-        let mut out: Vec<f32> = self.planes[VALUE].iter().map(|v| own as f32 * v).collect();
+        let mut out: Vec<f32> = self.levels[0][VALUE].iter().map(|v| own as f32 * v).collect();
         let map_columns = grid.x().len();
         for (number, weight) in parts.into_iter().filter(|(_, weight)| *weight != 0.0) {
             let continued = grid.continued(number);
@@ -380,37 +408,42 @@ impl Patch {
 
     /// Root mean square of the largest second difference at a node, value units.
     pub fn typical_bend(&self) -> f64 {
-        let sum: f64 = self.planes[BEND].iter().map(|bend| f64::from(*bend).powi(2)).sum();
-        (sum / self.planes[BEND].len() as f64).sqrt()
+        let bends = &self.levels[0][BEND];
+        let sum: f64 = bends.iter().map(|bend| f64::from(*bend).powi(2)).sum();
+        (sum / bends.len() as f64).sqrt()
     }
 
     /// Lays out the curved surfaces through the nodes.
     pub fn add_curves(&mut self) {
         self.curved = true;
-        self.fill_bends();
+        let mut levels = std::mem::take(&mut self.levels);
+        for planes in &mut levels {
+            self.fill_bends(planes);
+        }
+        self.levels = levels;
     }
 
     /// Second differences of the values: what bilinear interpolation leaves out; those of the curved surfaces where they are wanted. On
     /// the border those of the row or column inside it, which continue the map as a parabola; zero beside holes.
-    fn fill_bends(&mut self) {
+    fn fill_bends(&self, planes: &mut [Vec<f32>; PLANES]) {
         let columns = self.columns;
-        let across = second_differences_across(&self.planes[VALUE], columns);
-        let up = second_differences_up(&self.planes[VALUE], columns);
-        self.planes[BEND] = across.iter().zip(&up).map(|(a, u)| a.abs().max(u.abs())).collect();
+        let across = second_differences_across(&planes[VALUE], columns);
+        let up = second_differences_up(&planes[VALUE], columns);
+        planes[BEND] = across.iter().zip(&up).map(|(a, u)| a.abs().max(u.abs())).collect();
         if self.curved {
             // The spline bends at its nodes by M with M- + 4 M + M+ = 6 D (de Boor, A Practical Guide to Splines, 1978, chapter IV).
             let mut spline = across.clone();
             for row in spline.chunks_exact_mut(columns) {
                 spline_bends(row, 1);
             }
-            self.planes[SPLINE_TWIST] = second_differences_up(&spline, columns);
-            spline_bends(&mut self.planes[SPLINE_TWIST], columns);
-            self.planes[SPLINE_ACROSS] = spline;
-            self.planes[SPLINE_UP].clone_from(&up);
-            spline_bends(&mut self.planes[SPLINE_UP], columns);
-            self.planes[TWIST] = second_differences_up(&across, columns);
-            self.planes[ACROSS] = across;
-            self.planes[UP] = up;
+            planes[SPLINE_TWIST] = second_differences_up(&spline, columns);
+            spline_bends(&mut planes[SPLINE_TWIST], columns);
+            planes[SPLINE_ACROSS] = spline;
+            planes[SPLINE_UP].clone_from(&up);
+            spline_bends(&mut planes[SPLINE_UP], columns);
+            planes[TWIST] = second_differences_up(&across, columns);
+            planes[ACROSS] = across;
+            planes[UP] = up;
         }
     }
 
@@ -418,10 +451,10 @@ impl Patch {
     ///
     /// The gradient at one node vanishes on every crest, where an interpolated map is at its worst; its mean over a few
     /// cells does not.
-    fn fill_default_variance(&mut self, aspect: [f64; 2]) {
+    fn fill_default_variance(&self, planes: &mut [Vec<f32>; PLANES], aspect: [f64; 2]) {
         let (columns, rows) = (self.columns, self.rows);
         let mut square = vec![[0.0_f64; 2]; columns * rows];
-        let at = |r: usize, c: usize| f64::from(self.planes[VALUE][r * columns + c]);
+        let at = |r: usize, c: usize| f64::from(planes[VALUE][r * columns + c]);
         for r in 0..rows {
             for c in 0..columns {
                 let slope = |a: f64, b: f64, cells: f64| if cells > 0.0 { (b - a) / cells } else { 0.0 };
@@ -451,7 +484,7 @@ impl Patch {
                     count += across[k * columns + c][1];
                 }
                 let mean = if count > 0.0 { sum / count } else { 0.0 };
-                self.planes[VARIANCE][r * columns + c] = (DEFAULT_ERROR_CELLS * DEFAULT_ERROR_CELLS * mean) as f32;
+                planes[VARIANCE][r * columns + c] = (DEFAULT_ERROR_CELLS * DEFAULT_ERROR_CELLS * mean) as f32;
             }
         }
     }
@@ -465,9 +498,27 @@ impl Patch {
         ]
     }
 
-    /// Bilinear value, variance, distance and gradient; a NaN value off the patch and next to holes.
+    /// Bilinear value, variance, distance and gradient in a storey; a NaN value off the patch and next to holes.
     #[inline(always)]
-    pub fn at(&self, px: f64, py: f64) -> Sample {
+    pub fn at(&self, px: f64, py: f64, storey: Storey) -> Sample {
+        let below = self.on_level(px, py, storey.level);
+        if storey.share == 0.0 {
+            return below;
+        }
+        let above = self.on_level(px, py, storey.level + 1);
+        let mix = |a: f32, b: f32| a + storey.share as f32 * (b - a);
+        Sample {
+            value: mix(below.value, above.value),
+            variance: mix(below.variance, above.variance),
+            distance: mix(below.distance, above.distance),
+            gradient: [0, 1].map(|d| mix(below.gradient[d], above.gradient[d])),
+            curvature: mix(below.curvature, above.curvature),
+            bend: mix(below.bend, above.bend),
+        }
+    }
+
+    #[inline(always)]
+    fn on_level(&self, px: f64, py: f64, level: usize) -> Sample {
         const UNKNOWN: Sample =
             Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
@@ -482,14 +533,16 @@ impl Patch {
         let r = (py.max(0.0) as usize).min(self.rows.saturating_sub(2));
         let (u, v) = ((px - c as f64) as f32, (py - r as f64) as f32);
         let i = r * self.columns + c;
-        let Some([a, b, e, f]) = self.around(&self.planes[VALUE], i) else { return UNKNOWN };
+        let planes = &self.levels[level];
+        let Some([a, b, e, f]) = self.around(&planes[VALUE], i) else { return UNKNOWN };
         let mix = |[a, b, e, f]: [f32; 4]| {
             let low = a + u * (b - a);
             let high = e + u * (f - e);
             low + v * (high - low)
         };
-        let of = |quantity: usize| self.around(&self.planes[quantity], i).map_or(0.0, mix);
-        let [variance, distance] = if self.even { self.everywhere() } else { [of(VARIANCE), of(DISTANCE)] };
+        let of = |quantity: usize| self.around(&planes[quantity], i).map_or(0.0, mix);
+        let [variance, distance] =
+            if self.even { [planes[VARIANCE][0], planes[DISTANCE][0]] } else { [of(VARIANCE), of(DISTANCE)] };
         let (value, bend) = (mix([a, b, e, f]), of(BEND));
         let slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
@@ -510,20 +563,35 @@ impl Patch {
         let everywhere = on_columns[left] & on_columns[right] & on_rows[lower] & on_rows[upper] == 2;
         let (left, right, lower, upper) = (column[left], column[right], row[lower], row[upper]);
         let first = lower as usize * self.columns + left as usize;
-        let way = if cells.runs <= RUNS && everywhere && self.planes[VALUE].len() > first + self.columns + 2 * LANES {
+        let way = if cells.runs <= RUNS && everywhere && self.levels[0][VALUE].len() > first + self.columns + 2 * LANES
+        {
             Way::Rows
         } else if right - left <= 1 && upper - lower <= 1 {
             Way::Close([left, lower])
         } else {
             Way::Apart
         };
-        Spots { u, v, known, column, row, way }
+        Spots { u, v, known, column, row, way, level: place.level, share: place.share }
     }
 
     /// One quantity at the nodes around these spots.
     #[inline(always)]
     pub fn read<const QUANTITY: usize>(&self, cells: &Cells, spots: &mut Spots) -> Corners {
-        let plane = self.planes[QUANTITY].as_slice();
+        let mut corners = self.read_level::<QUANTITY>(spots.level as usize, cells, spots);
+        if spots.share > 0.0 {
+            let above = self.read_level::<QUANTITY>(spots.level as usize + 1, cells, spots);
+            for (below, above) in corners.0.iter_mut().zip(&above.0) {
+                for l in 0..LANES {
+                    below[l] += spots.share * (above[l] - below[l]);
+                }
+            }
+        }
+        corners
+    }
+
+    #[inline(always)]
+    fn read_level<const QUANTITY: usize>(&self, level: usize, cells: &Cells, spots: &mut Spots) -> Corners {
+        let plane = self.levels[level][QUANTITY].as_slice();
         let read = match spots.way {
             Way::Rows => self.in_rows(plane, cells, spots),
             Way::Close(lowest) => self.close(plane, lowest, spots),
@@ -598,9 +666,16 @@ impl Patch {
         Some([a, b, e, f])
     }
 
-    /// Error variance and distance to data of an even patch.
-    pub fn everywhere(&self) -> [f32; 2] {
-        [VARIANCE, DISTANCE].map(|q| self.planes[q][0])
+    /// Error variance and distance to data of an even patch, in the storey of a place.
+    pub fn everywhere(&self, place: Place) -> [f32; 2] {
+        [VARIANCE, DISTANCE].map(|q| {
+            let below = self.levels[place.level as usize][q][0];
+            if place.share > 0.0 {
+                below + place.share * (self.levels[place.level as usize + 1][q][0] - below)
+            } else {
+                below
+            }
+        })
     }
 
     /// Spacing, map units.
@@ -634,14 +709,14 @@ mod tests {
         let value = patch.read::<VALUE>(&cells, &mut spots).mixed(&spots);
         let bend = patch.read::<BEND>(&cells, &mut spots).mixed(&spots);
         let (variance, distance) = if patch.even {
-            let [variance, distance] = patch.everywhere();
+            let [variance, distance] = patch.everywhere(Place::new(place));
             ([variance; LANES], [distance; LANES])
         } else {
             let variance = patch.read::<VARIANCE>(&cells, &mut spots).mixed(&spots);
             (variance, patch.read::<DISTANCE>(&cells, &mut spots).mixed(&spots))
         };
         for (l, o) in offsets.iter().enumerate() {
-            let wanted = patch.at(place[0] + o[0], place[1] + o[1]);
+            let wanted = patch.at(place[0] + o[0], place[1] + o[1], Storey::GROUND);
             let known = spots.known[l] > 0.0 && value[l].is_finite();
             assert_eq!(known, wanted.value.is_finite(), "{place:?} + {o:?}");
             if known {
@@ -687,7 +762,7 @@ mod tests {
         let patch = Patch::new(&HalfKnown, [0.0; 2], [10.0; 2], 10_000, false).unwrap();
         for (x, known) in [(2.5, true), (7.5, false)] {
             let [u, v] = patch.position(x, 3.0);
-            assert_eq!(patch.at(u, v).value.is_finite(), known, "at x = {x}");
+            assert_eq!(patch.at(u, v, Storey::GROUND).value.is_finite(), known, "at x = {x}");
         }
     }
 
@@ -736,7 +811,7 @@ mod tests {
             let cells = Cells::new(&[offset]);
             let mut spots = patch.locate(Place::new(place), &cells);
             let value = patch.read::<VALUE>(&cells, &mut spots).mixed(&spots)[0];
-            let wanted = patch.at(place[0] + offset[0], place[1] + offset[1]).value;
+            let wanted = patch.at(place[0] + offset[0], place[1] + offset[1], Storey::GROUND).value;
             assert!(spots.known[0] > 0.0 && (value - wanted).abs() < 1e-4, "{place:?}: {value} {wanted}");
         }
     }

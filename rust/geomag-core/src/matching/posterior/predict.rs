@@ -11,6 +11,7 @@ use super::{At, MANY, match_interruptible};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::monitor::{Monitor, Quiet};
+use crate::stack::served;
 use crate::track::Track;
 
 /// What is to be expected of a fix at the end of a planned track.
@@ -50,6 +51,12 @@ pub fn predict(
     predict_interruptible(field, track, sigma, options, flights, seed, &Quiet)
 }
 
+/// Map value at the place and height of a sample.
+fn at(field: &dyn Field, track: &Track, k: usize) -> f64 {
+    let [x, y] = track.point(k);
+    track.height_m().map_or_else(|| field.value(x, y), |h| field.value_at(x, y, h[k]))
+}
+
 fn predict_interruptible(
     field: &dyn Field,
     track: &Track,
@@ -59,11 +66,9 @@ fn predict_interruptible(
     seed: u64,
     monitor: &dyn Monitor,
 ) -> Result<Prediction> {
-    let value = |k: usize| {
-        let (x, y) = (track.x()[k], track.y()[k]);
-        field.as_grid().map_or_else(|| field.value(x, y), |grid| grid.sample(x, y, options.interpolation))
-    };
-    let values: Vec<f64> = (0..track.len()).map(value).collect();
+    let served = served(field, track)?;
+    let field = served.field();
+    let values: Vec<f64> = (0..track.len()).map(|k| at(field, track, k)).collect();
     let known = values.iter().filter(|v| v.is_finite()).count();
     if known == 0 {
         return Err(Error::invalid("planned track", "a track on the map", "no sample on a known cell"));
@@ -90,6 +95,8 @@ fn predict_interruptible(
         monitor.advance(0, 0)?;
         let offset =
             [rng.random_range(-1.0..1.0) * options.half_width[0], rng.random_range(-1.0..1.0) * options.half_width[1]];
+        // A track fares better or worse than the map's sigma as a whole.
+        let level = (expected.spread * rng.sample::<f64, _>(StandardNormal)).exp();
         let mut previous: f64 = rng.sample(StandardNormal);
         let noisy: Vec<f64> = (0..planned.len())
             .map(|k| {
@@ -97,7 +104,7 @@ fn predict_interruptible(
                 previous = expected.coefficient * previous
                     + (1.0 - expected.coefficient * expected.coefficient).sqrt() * fresh;
                 let sensor: f64 = rng.sample(StandardNormal);
-                planned.values()[k] + expected.map_sigma[k] * previous + expected.sensor_sigma * sensor
+                planned.values()[k] + level * expected.map_sigma[k] * previous + expected.sensor_sigma * sensor
             })
             .collect();
         let x = planned.x().iter().map(|x| x - offset[0]).collect();
@@ -143,7 +150,7 @@ pub fn predict_many(
             .par_iter()
             .enumerate()
             .map(|(i, track)| {
-                let known = (0..track.len()).filter(|&k| field.value(track.x()[k], track.y()[k]).is_finite()).count();
+                let known = (0..track.len()).filter(|&k| at(field, track, k).is_finite()).count();
                 if (known as f64) < options.min_overlap * track.len() as f64 {
                     return Ok(None);
                 }

@@ -13,7 +13,9 @@ use super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
+use crate::map_error::Forecast;
 use crate::monitor::Monitor;
+use crate::stack::Storey;
 use crate::track::Track;
 
 /// What is to be expected of a track: see [`Problem::expected`].
@@ -24,6 +26,8 @@ pub(super) struct Expected {
     pub coefficient: f64,
     pub map_sigma: Vec<f64>,
     pub sensor_sigma: f64,
+    /// Standard deviation of the logarithm of a track's error level.
+    pub spread: f64,
 }
 
 /// What one offset looks like from near: see [`Problem::detail`].
@@ -99,6 +103,8 @@ pub(super) struct Prepared {
     places: Vec<Vec<Place>>,
     /// Indicated positions, cells of the patch.
     indicated: Vec<[f64; 2]>,
+    /// Where their heights lie among the levels of the map.
+    storeys: Vec<Storey>,
     /// Measured values minus the patch's level, value units.
     pub values: Vec<f32>,
     pub noise: Noise,
@@ -145,7 +151,7 @@ const PARALLEL: usize = 16_000;
 fn alike(patch: &Patch, positions: &[[f64; 2]], noise: &Noise) -> bool {
     let square = |p: &[f64; 2]| {
         let [u, v] = patch.position(p[0], p[1]);
-        f64::from(patch.at(u, v).bend).powi(2)
+        f64::from(patch.at(u, v, Storey::GROUND).bend).powi(2)
     };
     let bent: f64 = positions.iter().map(square).sum();
     BETWEEN_SHARE * bent < ALIKE * noise.sensor_variance
@@ -246,13 +252,32 @@ impl<'a> Problem<'a> {
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
+            let storeys = match (channel.field.as_stack(), track.height_m()) {
+                (Some(stack), Some(heights)) => stack.storeys(heights)?,
+                _ => vec![Storey::GROUND; n],
+            };
+            if let Some(correlation) = channel.field.as_stack().and_then(|stack| stack.correlation(&storeys)) {
+                noise.correlation = correlation;
+            }
             // The kernel's unit is the typical error, so that single precision has room on both sides of it.
-            let variances = indicated.iter().map(|p| f64::from(patch.at(p[0], p[1]).variance));
+            let there = indicated.iter().zip(&storeys);
+            let variances = there.map(|(p, storey)| f64::from(patch.at(p[0], p[1], *storey).variance));
             let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
             let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
             let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
-            let places = vec![indicated.iter().copied().map(Place::new).collect()];
-            prepared.push(Prepared { patch, lifted: Vec::new(), places, indicated, values, noise, cell_m, unit });
+            let places = indicated.iter().zip(&storeys).map(|(p, storey)| Place::new(*p).in_storey(*storey)).collect();
+            let places = vec![places];
+            prepared.push(Prepared {
+                patch,
+                lifted: Vec::new(),
+                places,
+                indicated,
+                storeys,
+                values,
+                noise,
+                cell_m,
+                unit,
+            });
         }
         if options.height_sigma_m > 0.0 {
             for (channel, of) in prepared.iter_mut().zip(channels) {
@@ -494,7 +519,6 @@ impl<'a> Problem<'a> {
         let exact_between = Level { between: 0.0, ..level };
         let stated = kernel::detail(&setup, [0.0, 0.0], exact_between, &mut scratch);
         let (map_sigma, distance) = self.along(channel);
-        let scaled: Vec<f64> = map_sigma.iter().map(|s| level.factor * s).collect();
         let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
         let (share, temper) = channel.temper(&level, distance, variances, self.spacing_m);
         let length = channel.correlation_m(&level, distance);
@@ -508,6 +532,7 @@ impl<'a> Problem<'a> {
             [[nn / determinant, -en / determinant], [-en / determinant, ee / determinant]]
         };
         let registration = share * (noise.registration * distance).powi(2);
+        let forecast = noise.forecast.unwrap_or(Forecast { level: 1.0, spread: 1.0 });
         // What the Student-t estimate loses against the normal one where errors are normal: with nu = 3 some 10 %, with 10 some 2 %.
         let loss = 1.0 + 1.0 / (level.nu * level.nu);
         let mut covariance = invert(detail.information, temper);
@@ -516,21 +541,35 @@ impl<'a> Problem<'a> {
                 *v *= loss;
             }
             row[d] += registration;
+            for v in row.iter_mut() {
+                *v *= forecast.spread * forecast.spread;
+            }
         }
         Expected {
             bound: invert(stated.information, 1.0),
             covariance,
             coefficient,
-            map_sigma: scaled,
+            map_sigma: map_sigma.iter().map(|s| forecast.level * level.factor * s).collect(),
             sensor_sigma: noise.sensor_variance.sqrt(),
+            spread: noise.spread,
         }
+    }
+
+    /// The risk to declare for a computed one: as the most careful of the channels' maps has it.
+    pub fn declared(&self, computed: f64) -> f64 {
+        self.channels
+            .iter()
+            .filter_map(|c| c.noise.recalibration)
+            .map(|r| r.risk(computed))
+            .reduce(f64::max)
+            .unwrap_or(computed)
     }
 
     /// Map sigma at every indicated position, and the mean distance to the data.
     fn along(&self, channel: &Prepared) -> (Vec<f64>, f64) {
         let (mut sigma, mut distance, mut known) = (Vec::with_capacity(self.samples), 0.0, 0.0);
-        for [px, py] in &channel.indicated {
-            let sample = channel.patch.at(*px, *py);
+        for ([px, py], storey) in channel.indicated.iter().zip(&channel.storeys) {
+            let sample = channel.patch.at(*px, *py, *storey);
             let here = sample.value.is_finite();
             sigma.push(if here { f64::from(sample.variance).sqrt() } else { 0.0 });
             if here {
@@ -555,8 +594,11 @@ impl Prepared {
 
     /// Mean square of what the map cannot say between its nodes along the indicated track, kernel units squared.
     fn between(&self, samples: usize) -> f64 {
-        let square = |p: &[f64; 2]| (f64::from(self.patch.at(p[0], p[1]).curvature) / self.unit).powi(2);
-        self.indicated.iter().map(square).filter(|s| s.is_finite()).sum::<f64>() / samples.max(1) as f64
+        let square = |(p, storey): (&[f64; 2], &Storey)| {
+            (f64::from(self.patch.at(p[0], p[1], *storey).curvature) / self.unit).powi(2)
+        };
+        self.indicated.iter().zip(&self.storeys).map(square).filter(|s| s.is_finite()).sum::<f64>()
+            / samples.max(1) as f64
     }
 
     /// Length over which the map's errors decorrelate under a level, for a mean distance to the data, metres.
@@ -601,7 +643,7 @@ impl Prepared {
         let laid_out = |node: &Node| {
             let place = |(k, p): (usize, &[f64; 2])| {
                 let moved = node.moved_m.get(k).unwrap_or(&[0.0; 2]);
-                Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north])
+                Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north]).in_storey(self.storeys[k])
             };
             self.indicated.iter().enumerate().map(place).collect()
         };

@@ -18,6 +18,7 @@ use super::search::Lattice;
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
+use crate::stack::{Storey, check_heights, extent};
 use crate::state;
 use crate::track::Track;
 
@@ -66,6 +67,8 @@ struct State {
     x: Vec<f64>,
     y: Vec<f64>,
     values: Vec<f64>,
+    /// One a sample, or none.
+    heights_m: Vec<f64>,
     seen: usize,
     /// Samples let go since the gate was last laid out.
     let_go: usize,
@@ -171,6 +174,7 @@ impl PosteriorMatcher {
             x: Vec::new(),
             y: Vec::new(),
             values: Vec::new(),
+            heights_m: Vec::new(),
             seen: 0,
             let_go: 0,
             lattice,
@@ -189,17 +193,43 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::NotFinite`] for a bad sample, which is not taken.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
+        self.update_at(x, y, value, None)
+    }
+
+    /// [`PosteriorMatcher::update`] with the height of the sample, metres above the map's height datum: needed on a stack of
+    /// levels, and by none or all of the samples.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`], or [`Error::Invalid`] for a height that the map does not serve, for a bad sample, which is not taken.
+    pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
         require_finite("sample (x, y, value)", &[x, y, value])?;
+        let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
+        check_heights(&*self.field, &sample)?;
+        if let Some(height) = height_m
+            && self.field.between(height, height)?.is_some()
+        {
+            let needed = "a stack of levels, for what is laid out of this field is at its own level";
+            return Err(Error::invalid("map", needed, format!("a sample at {height} m")));
+        }
         let s = &mut self.state;
+        if !s.x.is_empty() && s.heights_m.is_empty() == height_m.is_some() {
+            let needed =
+                if height_m.is_some() { "none, as the samples before" } else { "a height, as the samples before" };
+            return Err(Error::invalid("height_m of a sample", needed, format!("{height_m:?}")));
+        }
         let full = s.x.len() == s.max_samples;
         if full {
             s.x.remove(0);
             s.y.remove(0);
             s.values.remove(0);
+            if !s.heights_m.is_empty() {
+                s.heights_m.remove(0);
+            }
         }
         s.x.push(x);
         s.y.push(y);
         s.values.push(value);
+        s.heights_m.extend(height_m);
         s.seen += 1;
         self.moved();
         self.spread(0.5);
@@ -208,7 +238,7 @@ impl PosteriorMatcher {
         if s.let_go * RENEWED >= s.max_samples {
             self.renew_gate()?;
         } else {
-            self.gate(x, y, value)?;
+            self.gate(x, y, value, height_m)?;
         }
         let s = &self.state;
         let n = s.x.len();
@@ -255,7 +285,9 @@ impl PosteriorMatcher {
         let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref())?;
         let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
         let (posterior, kept) = problem.solve_going_on(offsets, s.lattice.step, coarse);
-        Ok((decide::answer(&problem, &track, &posterior, &s.lattice), kept))
+        let mut fix = decide::answer(&problem, &track, &posterior, &s.lattice);
+        fix.heights_m = self.field.as_stack().and(track.height_m()).and_then(extent);
+        Ok((fix, kept))
     }
 
     /// Forgets all samples.
@@ -315,6 +347,16 @@ impl PosteriorMatcher {
         if numbers.iter().any(|a| a.len() != n || require_finite("samples", a).is_err()) || n > saved.max_samples {
             return refuse("its samples are not finite, or not as many x as y as values");
         }
+        let heights = &saved.heights_m;
+        let served = matcher
+            .field
+            .as_stack()
+            .map_or(heights.is_empty() || matcher.field.as_grid().is_none_or(|g| g.height().is_some()), |s| {
+                heights.len() == n && s.storeys(heights).is_ok()
+            });
+        if !(served && (heights.is_empty() || heights.len() == n) && require_finite("heights", heights).is_ok()) {
+            return refuse("its heights are not those of this map");
+        }
         if n > saved.seen || saved.let_go > saved.max_samples || !saved.moved_m.is_finite() {
             return refuse("its counts do not fit its samples");
         }
@@ -334,7 +376,9 @@ impl PosteriorMatcher {
     }
 
     fn track(&self) -> Result<Track> {
-        Track::new(self.state.x.clone(), self.state.y.clone(), self.state.values.clone(), None)
+        let s = &self.state;
+        let heights = (!s.heights_m.is_empty()).then(|| s.heights_m.clone());
+        Track::new(s.x.clone(), s.y.clone(), s.values.clone(), None)?.with_height(heights)
     }
 
     fn step(&self, fix: Option<Fix>) -> PosteriorStep {
@@ -399,13 +443,15 @@ impl PosteriorMatcher {
         }
         for k in 0..self.state.x.len() {
             let s = &self.state;
-            let (x, y, value) = (s.x[k], s.y[k], s.values[k]);
-            self.gate(x, y, value)?;
+            let (x, y, value, height_m) = (s.x[k], s.y[k], s.values[k], s.heights_m.get(k).copied());
+            self.gate(x, y, value, height_m)?;
         }
         Ok(())
     }
 
-    fn gate(&mut self, x: f64, y: f64, value: f64) -> Result<()> {
+    fn gate(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<()> {
+        let storey =
+            self.field.as_stack().zip(height_m).and_then(|(stack, h)| stack.storey(h)).unwrap_or(Storey::GROUND);
         let x = self.field.wrap_x(x);
         self.window()?;
         let channel = Channel { field: &*self.field, values: &self.state.values, sigma: self.state.sigma };
@@ -432,7 +478,7 @@ impl PosteriorMatcher {
         let allowed = FIRST_MISSES + (MISSES * (self.state.x.len() + self.state.let_go) as f64) as u32;
         self.state.candidates.retain_mut(|c| {
             let [px, py] = patch.position(x + c.offset[0], y + c.offset[1]);
-            let sample = patch.at(px, py);
+            let sample = patch.at(px, py, storey);
             if !sample.value.is_finite() {
                 // A hole is no evidence.
                 return true;

@@ -1,0 +1,106 @@
+"""Flights above a map, level, climbing and descending: told their heights, they are fixed as at the map's own, and as rightly.
+
+The long form makes the table of docs/guide/heights.md: Osborne, maps of two thirds of the lines, flights along the others over the map of all
+lines, continued. Run it with `GEOMAG_LONG=1 pytest -s tests/test_heights_flown.py`.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+import geomag
+from geomag import calibration, continuation, survey
+from geomag.survey import folds_of
+from geomag.survey._lines import windows_of
+
+SAMPLES, SPACING_M, HALF_M, TOLERANCE_M = 40, 200.0, 1000.0, 200.0
+#: Heights of the first and the last sample above the map.
+PROFILES = [
+    (0, 0), (50, 50), (100, 100), (200, 200), (300, 300), (500, 500), (1000, 1000), (0, 300), (300, 50), (0, 1000), (1000, 200),
+]  # fmt: skip
+
+
+def flown(maps, truth, windows, profile, seed=1):
+    """Fixed, wrong and the number of tracks along windows, one list of them a map; readings of `truth`, a stack."""
+    rng = np.random.default_rng(seed)
+    fixed = wrong = count = 0
+    heights = np.linspace(*profile, SAMPLES).astype(float)
+    for grid, some in zip(maps, windows, strict=True):
+        tracks, places = [], []
+        for x, y in some:
+            offset = rng.uniform(-HALF_M, HALF_M, 2) / grid.metres_per_unit(float(y[-1]))
+            readings = truth.sample(x, y, heights) + rng.normal(0, 1.0, SAMPLES)
+            tracks.append(geomag.Track(x - offset[0], y - offset[1], readings, height_m=heights))
+            places.append((x[-1], y[-1]))
+        got = calibration.assess(grid, tracks, np.array(places), name="", half_width_m=HALF_M, tolerance_m=TOLERANCE_M)
+        fixed += int(got.fixed.sum())
+        wrong += int((got.error_m[got.fixed] > TOLERANCE_M).sum())
+        count += len(tracks)
+    return fixed, wrong, count
+
+
+def test_flights_above_a_map_are_fixed_once_they_tell_their_heights():
+    axis = np.arange(0.0, 20_001.0, 100.0)
+    rng = np.random.default_rng(7)
+    waves = [(rng.normal(0, 12), 2 * np.pi / s, *rng.uniform(0, 2 * np.pi, 2)) for s in np.geomspace(500, 9000, 60)]
+
+    def field(x, y, height):
+        return sum(a * np.exp(-k * height) * np.cos(k * (np.cos(d) * x + np.sin(d) * y) + p) for a, k, d, p in waves)
+
+    error = 2.0 * np.sin(axis / 330) * np.sin(axis[:, None] / 290)
+    grid = geomag.GridMap(field(axis, axis[:, None], 0.0) + error, axis, axis, sigma=1.5, height_m=100.0)
+    fixed, untold_right, wrong = 0, 0, 0
+    for _ in range(12):
+        x = np.linspace(0, 7800, 40) + rng.uniform(3000, 8000)
+        y = np.linspace(0, 3000, 40) + rng.uniform(4000, 11_000)
+        height = np.linspace(*rng.uniform(100, 500, 2), 40)
+        offset = rng.uniform(-800, 800, 2)
+        readings = field(x, y, height - 100.0) + rng.normal(0, 0.5, 40)
+        told = geomag.Track(x - offset[0], y - offset[1], readings, height_m=height)
+        fix = geomag.match_posterior(grid, told, half_width=1000, sigma=0.5, tolerance_m=150)
+        fixed += fix.ok
+        wrong += fix.ok and np.hypot(*(np.array(fix.offset_m) - offset)) > 150
+        untold = geomag.Track(told.x, told.y, readings)
+        fix = geomag.match_posterior(grid, untold, half_width=1000, sigma=0.5, tolerance_m=150)
+        untold_right += fix.ok and np.hypot(*(np.array(fix.offset_m) - offset)) <= 150
+    assert fixed >= 10
+    assert wrong == 0
+    assert untold_right < fixed
+
+
+@pytest.mark.skipif("GEOMAG_LONG" not in os.environ, reason="takes minutes; set GEOMAG_LONG to run it")
+def test_osborne_from_its_own_height_to_a_kilometre_above(data_file, capsys):
+    lines = survey.read_lines(data_file("osborne-aeromag/osborne_lines.csv.gz"))
+    whole = geomag.read_grid(data_file("osborne-aeromag/osborne_grid_from_shared_lines.nc"))
+    truth = geomag.GridMap(np.asarray(whole.values, float), whole.x, whole.y, geographic=True, sigma=0.0, height_m=0.0)
+    truth = truth.continue_to(np.r_[0.0, np.geomspace(10, 1000, 60)], edges="mirrored")
+    pieces = lines.split()
+    fold = folds_of(pieces, 3)
+    maps, windows = [], []
+    for k in range(3):
+        kept = [p for p, f in zip(pieces, fold, strict=True) if f != k]
+        columns = [np.concatenate([getattr(p, a) for p in kept]) for a in ("x", "y", "values", "line")]
+        learnt = survey.map_from_lines(survey.Lines(*columns, lines.geographic))
+        level = geomag.GridMap(
+            learnt.values, learnt.x, learnt.y, geographic=True, sigma=learnt.sigma, height_m=0.0
+        ).with_error_model(**learnt.error_model)
+        taken = [p for p, f in zip(pieces, fold, strict=True) if f == k]
+        some = [(x, y) for x, y, _ in windows_of(taken, SPACING_M, SAMPLES, 0.0) if len(x) == SAMPLES]
+        ok = [
+            np.isfinite(truth.sample(x, y, 0.0)).all() and np.isfinite(learnt.sample(x, y)).mean() >= 0.9
+            for x, y in some
+        ]
+        maps.append(level.continue_to(continuation.levels(level, 0.0, 1000.0)))
+        windows.append([w for w, good in zip(some, ok, strict=True) if good])
+    rows = {profile: flown(maps, truth, windows, profile) for profile in PROFILES}
+    with capsys.disabled():
+        for (first, last), (fixed, wrong, count) in rows.items():
+            print(f"| {first} to {last} m | {count} | {fixed / count:.1%} | {wrong / max(fixed, 1):.2%} ({wrong}) |")
+    own = rows[0, 0][0] / rows[0, 0][2]
+    for (first, last), (fixed, wrong, count) in rows.items():
+        assert wrong <= 0.015 * fixed, (first, last)
+        if max(first, last) <= 300:
+            assert fixed / count >= 0.8 * own, (first, last)
