@@ -56,7 +56,7 @@ class StressRow:
     @property
     def consistent(self) -> bool:
         """Whether so many wrong fixes are to be expected of what was declared, one-sided 97.5 %."""
-        return self.wrong <= self.declared + 1.96 * np.sqrt(self.declared) + 0.5
+        return bool(self.wrong <= self.declared + 1.96 * np.sqrt(self.declared) + 0.5)
 
 
 def _row(name: str, fixes: Sequence[Fix], offsets: Array, tolerance_m: float) -> StressRow:
@@ -266,7 +266,7 @@ def flights_with_effect(
     sigma: float = 1.0,
     heights_m: Sequence[float] = (0.0, 50.0, 100.0, 200.0, 300.0, 600.0, 1000.0),
     steps: Sequence[float] = (5.0, 10.0, 30.0, 100.0, 300.0),
-    told: dict[str, float] | None = None,
+    told: dict[str, Any] | None = None,
     samples: int = 40,
     flights: int = 1000,
     seed: int = 1,
@@ -306,7 +306,8 @@ def flights_with_effect(
     for height, step in settings:
         source = _lifted(grid, height) if height else grid
         rng = np.random.default_rng(seed)
-        tracks, offsets = [], []
+        tracks: list[Track] = []
+        offsets: list[Array] = []
         while len(tracks) < flights:
             start = rng.uniform([grid.x[0], grid.y[0]], [grid.x[-1], grid.y[-1]])
             per_unit = np.array(grid.metres_per_unit(float(start[1])))
