@@ -79,7 +79,7 @@ pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2], finest: [f64; 2
         return None;
     }
     let (offsets, step) = lattice(problem, offset);
-    let told: Vec<View<'_>> = problem.channels.iter().map(|c| view(problem, c, offset, step)).collect();
+    let told: Vec<View<'_>> = problem.channels.iter().map(|c| view(problem, c, offset, finest)).collect();
     // The model as told and the effects that leave the map as it is are looked at together; every height has a map of its own.
     let none = Alternative { effect: "none", height: None, shapes: Vec::new() };
     let (heights, others): (Vec<_>, Vec<_>) = alternatives(problem).into_iter().partition(|a| a.height.is_some());
