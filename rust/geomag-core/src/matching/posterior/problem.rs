@@ -187,6 +187,7 @@ impl<'a> Problem<'a> {
             return Err(Error::invalid("channels", "at least one map with its values", "none"));
         };
         let field = first.field;
+        track.require_on(field.geographic())?;
         let n = track.len();
         let positions: Vec<[f64; 2]> = (0..n).map(|k| [field.wrap_x(track.x()[k]), track.y()[k]]).collect();
         let middle = positions.iter().map(|p| p[1]).sum::<f64>() / n as f64;
