@@ -105,6 +105,9 @@ impl Saved for State {
             return Err(Error::invalid("samples", "no more held than seen and than may be held", got));
         }
         require_not_negative("movement", self.moved_m)?;
+        if self.let_go > self.max_samples {
+            return Err(Error::invalid("samples let go", format!("at most {}", self.max_samples), self.let_go));
+        }
         if !(0.0..=1.0).contains(&self.risk) {
             return Err(Error::invalid("risk", "a probability", self.risk));
         }
