@@ -15,7 +15,7 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 FLOORS = [
     {"error", "constants"},
     {"monitor", "state", "statistics", "compensation"},
-    {"frame", "field", "grid", "map_error", "gridding", "information", "track", "fix"},
+    {"frame", "field", "grid", "stack", "map_error", "gridding", "information", "track", "fix"},
     {"harmonic", "main_field", "kalman", "lattice"},
     {"matching"},
     {"navigation"},
