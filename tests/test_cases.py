@@ -65,6 +65,13 @@ def nmea_noise():
     assert [(round(s.y, 6), s.value) for s in found] == [(48.1173, 48650.1), (48.117467, 48651.2), (48.1178, 48653.4)]
     assert all(round(s.x, 6) == 11.516667 for s in found)
     assert [s.time_s for s in found] == [43200.0, 43201.0, 43203.0]
+    with pytest.warns(geomag.DataWarning, match="line 5"):
+        track = geomag.read_track(CASES / "nmea-noise.txt")
+    assert (track.values.tolist(), track.time_s.tolist(), track.geographic) == (
+        [48650.1, 48651.2, 48653.4],
+        [43200, 43201, 43203],
+        True,
+    )
 
 
 def stream_latitude_first():
@@ -80,6 +87,8 @@ def lines_geosoft():
     assert list(lines) == ["L10", "T900"]
     got = [np.column_stack([one.x, one.y, one.values]).tolist() for one in lines.values()]
     assert got == [[[1000, 2000, 31.5], [1200, 2000, 33.5]], [[1050, 2100, 30.1], [1050, 2000, 30.7]]]
+    named = read_lines(CASES / "lines-geosoft.xyz", x="X", y="Y", value="MAG", line="line", geographic=False)
+    assert len(named.split()) == 2
     with pytest.raises(geomag.InvalidInputError, match=r"2 lines.*split"):
         geomag.read_track(CASES / "lines-geosoft.xyz")
 
@@ -135,6 +144,19 @@ def grid_emag2_columns():
         assert (grid.shape, grid.holes) == ((6, 8), 6)
         assert (grid.x[0], grid.y[0]) == (10.0, 45.0)
         assert (np.nanmin(grid.values), np.nanmax(grid.values)) == (6.0, 62.0)
+
+
+def test_the_command_line_names_columns_too(capsys):
+    pytest.importorskip("typer", reason="needs the extra 'cli'")
+    from geomag.cli import run
+
+    path = str(CASES / "grid-emag2-columns.csv")
+    assert run(["info", path]) == 1
+    assert "--columns 2,3,5" in capsys.readouterr().err
+    assert run(["info", path, "--columns", "2,3,5", "--geographic"]) == 0
+    out, err = capsys.readouterr()
+    assert "6 x 8 nodes" in out
+    assert "6 of 48 values are dummies" in err
 
 
 def grid_surfer_blanks():

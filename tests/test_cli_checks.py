@@ -31,6 +31,7 @@ def folder(tmp_path_factory):
     (path / "empty.nc").write_bytes(b"")
     (path / "junk.nc").write_text("not a map")
     (path / "bare.csv").write_text("a,b,c\n0,0,1\n1,0,2\n0,1,3\n1,1,4\n")
+    (path / "plain.csv").write_text("x,y,value\n0,0,1\n1,0,2\n0,1,3\n1,1,4\n")
     frame = geomag.LocalFrame(45.0, 7.0)
     region = [(-5e4, 5e4), (-5e4, 5e4), (-1e4, 1e3)]
     model = geomag.RectangularHarmonicModel.from_coefficients(0, 1e5, [0, 0, 1], region=region, frame=frame)
@@ -61,7 +62,7 @@ SIMULATE = "calibrate map.nc --simulate --half-width-m 500 --tolerance-m 200"
         ("match map.nc log.csv --geojson .", "folder"),
         ("match map.nc log.csv --plot fix.foo", ".png, .svg or .pdf"),
         ("match map.nc gap.csv", "--drop-missing"),
-        ("match bare.csv log.csv", "--geographic"),
+        ("match plain.csv log.csv", "--geographic"),
         ("match empty.nc log.csv", "netCDF"),
         ("match junk.nc log.csv", "netCDF"),
         ("--record . match map.nc log.csv", "--record"),

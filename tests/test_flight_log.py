@@ -34,11 +34,11 @@ def test_columns_by_their_usual_names_and_as_named():
     ("text", "message"),
     [
         ("t,lon,lat\n0,1,2\n", "needed a column for value"),
-        ("t,lon,lat,value\n0,1,2\n", "line 2: needed 4 columns as in the header, got 3"),
-        ("t,lon,lat,value\n0,1,2,3\n1,,2,3\n", "line 3: needed a finite x, got ''"),
-        ("t,lon,lat,value\n0,1,2,abc\n", "line 2: value: needed a number, got 'abc'"),
-        ("t,lon,lat,value\n0,1,2,inf\n", "needed a finite number or none"),
-        ("t,lon,lat,value\n", "needed a header and at least one row"),
+        ("t,lon,lat,value\n0,1,2\n", "line 2: needed a readable table with 4 fields as named"),
+        ("t,lon,lat,value\n0,1,2,3\n1,,2,3\n", "needed a position in every row, got x nan, y 2.0 in data row 1"),
+        ("t,lon,lat,value\n0,1,2,abc\n", "column 'value': needed numbers, got 'abc' in line 2"),
+        ("t,lon,lat,value\n0,1,2,inf\n", "column 'value': needed numbers, got 'inf' in line 2"),
+        ("t,lon,lat,value\n", "at least one row"),
     ],
 )
 def test_what_is_no_log_is_refused_by_line(tmp_path, text, message):
@@ -49,5 +49,19 @@ def test_what_is_no_log_is_refused_by_line(tmp_path, text, message):
 
 
 def test_a_file_that_is_none(tmp_path):
-    with pytest.raises(geomag.MissingFileError, match="needed a file"):
+    with pytest.raises(geomag.MissingFileError, match="needed an existing file"):
         read_flight_log(tmp_path / "none.csv")
+
+
+def test_a_file_is_read_as_every_table(tmp_path):
+    """Units in names, decimal commas, times of day and dummies are not the log's own business."""
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "UTC time;Lat (deg);Lon (deg);TMI (uT);heading;true_lon;true_lat\n"
+        "23:59:59;47,1;16,2;48,5;90;16,21;47,11\n00:00:00;47,1;16,201;99999;90;16,211;47,11\n"
+    )
+    with pytest.warns(geomag.DataWarning, match="dummies"):
+        log = read_flight_log(path)
+    assert (log.time_s.tolist(), log.x.tolist(), log.y.tolist()) == ([0.0, 1.0], [16.2, 16.201], [47.1, 47.1])
+    np.testing.assert_array_equal(log.readings, [48_500.0, np.nan])
+    assert log.truth.tolist() == [[16.21, 47.11], [16.211, 47.11]]

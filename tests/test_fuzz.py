@@ -14,7 +14,7 @@ import fuzzing  # noqa: E402 - after the libraries that it needs
 
 LONG = 200 if "GEOMAG_LONG" in os.environ else 1
 #: Kind and seed of inputs that once ended in anything but an error of ours or the numbers of the file.
-FOUND = [("binary", 157), ("binary", 325)]
+FOUND = [("binary", 157), ("binary", 325), ("text", 26712), ("text", 28429), ("text", 33459), ("grid", 41803)]
 
 
 @pytest.mark.parametrize(("kind", "count"), [("text", 1500), ("grid", 400), ("binary", 60)])

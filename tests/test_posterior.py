@@ -375,6 +375,14 @@ def survey(seed=0):
     return Lines(*(np.concatenate(a) for a in (x, y, v, line)))
 
 
+@pytest.fixture
+def few_windows(monkeypatch):
+    """Errors are learnt from fewer windows than usual, which is quick."""
+    monkeypatch.setattr("geomag.survey._trials.MOST_WINDOWS", 150)
+    monkeypatch.setattr("geomag.survey._trials.FORECAST_WINDOWS", 40)
+
+
+@pytest.mark.usefixtures("few_windows")
 def test_lines_become_a_map_that_knows_its_errors():
     lines = survey()
     assert line_spacing_m(lines) == pytest.approx(300, rel=0.15)
@@ -417,16 +425,18 @@ def test_smoothed_lines_keep_the_trend_and_lose_the_noise():
             smooth_lines(lines, wrong)
 
 
+@pytest.mark.usefixtures("few_windows")
 def test_errors_that_go_together_further_than_usual_are_learnt(monkeypatch):
-    monkeypatch.setattr("geomag.survey._learn.CORRELATIONS", (0.2, 0.25))
-    monkeypatch.setattr("geomag.survey._learn.SHARES", (0.5,))
-    model = learn_errors(survey(), seed=1)
-    tried = [t["correlation"] for t in model.trials]
+    monkeypatch.setattr("geomag.survey._trials.FIRST_CORRELATION", 0.2)
+    monkeypatch.setattr("geomag.survey._trials.SHARES", (0.5,))
+    model = learn_errors(survey(), smoothing_m=0.0, folds=3, seed=1)
+    tried = sorted(t["correlation"] for t in model.trials)
     # Longer and longer ones, until the longest is not the best.
-    assert tried[2:] == pytest.approx([0.25 * 1.25**k for k in range(1, len(tried) - 1)])
-    assert 0.5 < model.correlation < max(tried)
+    assert tried == pytest.approx([0.2 * 1.25**k for k in range(len(tried))])
+    assert 0.4 < model.correlation < max(tried)
 
 
+@pytest.mark.usefixtures("few_windows")
 def test_the_line_spacing_alone_gives_a_map_its_errors():
     lines = survey()
     made = map_from_lines(lines, model=learn_errors(lines, seed=1))
@@ -465,6 +475,7 @@ def test_too_few_lines_are_refused():
         Lines(x, x, x, np.zeros(3))
 
 
+@pytest.mark.usefixtures("few_windows")
 def test_left_out_lines_are_declared_rightly(tmp_path):
     result = calibrate_lines(survey(3), half_width_m=1000, tolerance_m=200, spacing_m=150, samples=30, most=150)
     text = result.to_markdown()

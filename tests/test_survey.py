@@ -78,7 +78,9 @@ def noisy():
     return {"flat": over(600.0, 6.0), "strong": over(150.0, 60.0)}
 
 
-def test_the_lines_say_whether_noise_is_taken_for_field(noisy):
+def test_the_lines_say_whether_noise_is_taken_for_field(noisy, monkeypatch):
+    monkeypatch.setattr("geomag.survey._trials.MOST_WINDOWS", 60)
+    monkeypatch.setattr("geomag.survey._trials.FORECAST_WINDOWS", 20)
     field, lines = noisy["flat"]
     model = learn_errors(lines)
     assert model.smoothing_m > 50

@@ -68,6 +68,8 @@ class GridMap:
         crossover: float | None = None,
         registration_m_per_d: float | None = None,
         registration_length: float | None = None,
+        recalibration: tuple[float, float] | None = None,
+        forecast: tuple[float, float] | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -1259,7 +1261,8 @@ def _minimum_curvature(
     *,
     aspect: float,
     weight: float = ...,
-    sweeps: int = 400,
+    reach: float = ...,
+    sweeps: int = 120,
     progress: _Progress = None,
 ) -> _Floats: ...
 def _distance_to_data(

@@ -17,7 +17,6 @@ positions) and the true position (for tests). A reading that is missing is an em
 from __future__ import annotations
 
 import csv
-import gzip
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,7 +25,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from geomag._errors import InvalidInputError, MissingFileError, ReadError, UnknownVariableError
+from geomag._errors import InvalidInputError, UnknownVariableError
+from geomag.io._names import asked_column
+from geomag.io._tables import load_table
+from geomag.io._tracks import points_of, times_of
 
 Array = npt.NDArray[np.float64]
 
@@ -151,9 +153,12 @@ def _number(text: str, where: str) -> float:
 
 
 def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
-    r"""Read a log from a text file (compressed with gzip or not); `columns` as for `read_rows`.
+    r"""Read a log of a flight from a file; `columns` as for `read_rows`.
 
-    Raises `MissingFileError`, `ReadError`, `UnknownVariableError` and `InvalidInputError`; a log whose velocity or heading is missing in some rows is taken as one without.
+    Files are read as `geomag.read_track` reads them (separators, units in names, dummies, times of every kind, compressed, logs of vehicles).
+    A reading that is missing is NaN; a log whose velocity or heading is missing in some rows is taken as one without.
+
+    Raises `MissingFileError`, `ReadError`, `UnknownVariableError` and `InvalidInputError`.
 
     Examples
     --------
@@ -161,30 +166,42 @@ def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
     >>> from geomag.flight_log import read_flight_log
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = pathlib.Path(folder, "log.csv")
-    ...     _ = path.write_text("time_s,x,y,value,heading_deg\\n0,0,0,31.5,90\\n1,70,0,nan,90\\n")
+    ...     _ = path.write_text("time_s,x,y,value,heading_deg\n0,0,0,31.5,90\n1,70,0,nan,90\n")
     ...     log = read_flight_log(path)
     >>> log.readings, log.heading_deg, log.velocity_m_s
     (array([31.5,  nan]), array([90., 90.]), None)
     """
-    file = Path(path)
-    if not file.is_file():
-        raise MissingFileError(f"{file}: needed a file, found none")
-    try:
-        with gzip.open(file, "rt", newline="") if file.suffix == ".gz" else file.open(newline="") as lines:
-            rows = list(read_rows(lines, where=str(path), **columns))
-    except (OSError, UnicodeDecodeError, csv.Error, EOFError) as error:
-        raise ReadError(f"{file}: needed a readable log, got: {error}") from error
-    if not rows:
-        raise ReadError(f"{file}: needed a header and at least one row, got none")
-    time, x, y, value = (
-        np.array([getattr(r, name) for r in rows], dtype=np.float64) for name in ("time_s", "x", "y", "value")
-    )
+    table = load_table(path)
+    where = str(path)
+    for what in columns:
+        if what not in NAMES:
+            raise InvalidInputError(f"{where}: needed columns named among {', '.join(NAMES)}, got '{what}'")
+    points = points_of(table, columns.get("x"), columns.get("y"), columns.get("value"))
+    place = np.isfinite(points.x) & np.isfinite(points.y)
+    if not place.all():
+        k = int(np.argmin(place))
+        raise InvalidInputError(
+            f"{where}: needed a position in every row, got x {points.x[k]}, y {points.y[k]} in data row {k}"
+        )
+    time = times_of(table, columns.get("time_s"), points)
 
-    def whole(name: str) -> Array | None:
-        parts = [getattr(r, name) for r in rows]
-        return None if any(p is None for p in parts) else np.array(parts, dtype=np.float64)
+    def whole(*wanted: str) -> Array | None:
+        found = []
+        for what in wanted:
+            asked = columns.get(what)
+            known = {c.name.lower(): c for c in table.columns}
+            one = (
+                asked_column(table.columns, asked, where)
+                if asked
+                else next((known[n] for n in NAMES[what] if n in known), None)
+            )
+            if one is None or np.isnan(table.floats(one)).any():
+                return None
+            found.append(table.floats(one))
+        return found[0] if len(found) == 1 else np.column_stack(found)
 
-    return FlightLog(time, x, y, value, whole("velocity_m_s"), whole("heading_deg"), whole("truth"))
+    velocity, truth = whole("velocity_east", "velocity_north"), whole("true_x", "true_y")
+    return FlightLog(time, points.x, points.y, points.values, velocity, whole("heading"), truth)
 
 
 def write_flight_log(path: str | Path, log: FlightLog) -> None:

@@ -7,7 +7,7 @@ whether the covariances and protection levels held; the unaided INS, and other f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from geomag._navigation import DECLARED, SETTLING_S, Navigation, navigate
 from geomag._ranges import above, at_least
 from geomag._statistics import wilson
 from geomag.flights import FieldSensor, LineFlight, line_flights, scales_m, steps_m
-from geomag.survey import Lines, folds_of, map_from_lines
+from geomag.survey import Lines, map_from_lines
 
 Array = npt.NDArray[np.float64]
 Progress = Callable[[int, int], None] | None
@@ -247,25 +247,11 @@ class NavigationReport:
 
 def _folds(lines: Lines, folds: int) -> list[tuple[Lines, Lines]]:
     """Lines that are kept and lines that are left out, for every fold."""
-    pieces = lines.split()
-    if folds < 2 or len(pieces) < 2 * folds:
+    if folds < 2 or lines.survey.labels < 2 * folds:
         raise TooFewSamplesError(
-            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {len(pieces)}"
+            f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {lines.survey.labels}"
         )
-    number = folds_of(pieces, folds)
-
-    def joined(some: Iterable[Lines]) -> Lines:
-        parts = list(some)
-        columns = (np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "y", "values", "line"))
-        return Lines(*columns, lines.geographic)
-
-    return [
-        (
-            joined(p for p, f in zip(pieces, number, strict=True) if f != k),
-            joined(p for p, f in zip(pieces, number, strict=True) if f == k),
-        )
-        for k in range(folds)
-    ]
+    return [(Lines.joined(kept), Lines.joined(left)) for kept, left in lines.survey.parted(folds)]
 
 
 def calibrate_navigation(

@@ -94,7 +94,7 @@ def run(arguments: Sequence[str]) -> int:
             else:
                 plain(message, category, *where, **more)
 
-        warnings.showwarning = show  # type: ignore[assignment]
+        warnings.showwarning = show
         return _run(arguments)
 
 

@@ -72,6 +72,7 @@ def picture(param: typer.CallbackParam, value: Path | None) -> Path | None:
 #: How the library says it, and how one does it here.
 _WORDS: Iterable[tuple[str, str]] = (
     (r"pass geographic=True or geographic=False", "give --geographic or --no-geographic"),
+    (r"columns=\((\w+), (\w+), (\w+)\)", r"--columns \1,\2,\3"),
     (r"missing='drop' leaves them out", "--drop-missing leaves them out"),
     (
         r"max_candidates allows (\d+); raise it, enlarge the step or shrink the search",

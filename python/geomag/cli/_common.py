@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import typer
 
-from geomag._errors import DataWarning, TimeError
+from geomag._errors import DataWarning, InvalidInputError, TimeError
 from geomag._explain import reasons, status_in_words
 from geomag._geomag import GridMap, Track
 from geomag.io._tables import load_table
+from geomag.io._text import Table
 from geomag.io._tracks import track_of
 
 if TYPE_CHECKING:
@@ -52,11 +53,30 @@ def fix_json(fix: Fix, **more: object) -> str:
     return json.dumps(jsonable({**fix.to_dict(), "track": fix.track, "surface": fix.surface, **more}))
 
 
-def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
+def three(text: str | None) -> tuple[str, str, str] | None:
+    """The columns of a text map, from `x,y,value`."""
+    if text is None:
+        return None
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 3 or not all(parts):
+        raise InvalidInputError(f"--columns: needed three, as x,y,value, got '{text}'")
+    return parts[0], parts[1], parts[2]
+
+
+def load_track(
+    path: Path,
+    grid: GridMap,
+    x: str | None,
+    y: str | None,
+    value: str | None,
+    drop: bool,
+    position: str | None = None,
+    reading: str | None = None,
+) -> Track:
     """Read a track for a map and bring it to the map's coordinates; what was done for that is told on standard error."""
     from geomag.projection import AlignedWarning, align
 
-    track = _read(path, grid, x, y, value, drop)
+    track = _read(load_table(path, position, reading), grid, x, y, value, drop)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", AlignedWarning)
         track = align(grid, track)
@@ -65,13 +85,12 @@ def load_track(path: Path, grid: GridMap, x: str | None, y: str | None, value: s
     return track
 
 
-def _read(path: Path, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
+def _read(table: Table, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
     """A track for a map: its readings by their unit, or by the name of the map's variable where several may be; times only if they are clear.
 
     No command that takes a track has a use for times that cannot be read, so that those are told and left.
     """
     missing: Literal["error", "drop"] = "drop" if drop else "error"
-    table = load_table(path)
     if value is None and grid.name:
         named = [
             c for c in table.columns if c.kind == "value" and grid.name.lower() in (c.name.lower(), c.base.lower())

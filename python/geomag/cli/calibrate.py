@@ -46,7 +46,7 @@ def calibrate(
     drift_m: Annotated[
         float, typer.Option(callback=not_negative, help="Simulated drift over the track, told as a bound, m.")
     ] = 0.0,
-    streaming: Annotated[bool, typer.Option(help="Stop every simulated track at its first fix.")] = False,
+    streaming: Annotated[bool, typer.Option(help="Stop every track at its first fix.")] = False,
     trials: Annotated[int, typer.Option(min=1, help="Most tracks.")] = 2000,
     overlap: Annotated[
         float, typer.Option(callback=share, help="Share of a window that the next one has too (lines only).")
@@ -105,6 +105,7 @@ def calibrate(
             most=trials,
             overlap=overlap,
             max_risk=max_risk,
+            streaming=streaming,
         )
     text = result.to_markdown()
     typer.echo(text)

@@ -12,7 +12,7 @@ import typer
 from geomag._geomag import GridMap
 from geomag.cli import app
 from geomag.cli._checks import positive
-from geomag.cli._common import jsonable
+from geomag.cli._common import jsonable, three
 from geomag.io import read_grid
 
 
@@ -66,8 +66,8 @@ def known(grid: GridMap, facts: dict[str, object]) -> list[str]:
         )
     else:
         lines.append("error     not known: matchers take it for one of unknown size")
-    if facts["height_m"] is not None:
-        low, high = facts["height_m"]  # type: ignore[misc]
+    if grid.height_m is not None:
+        low, high = float(np.nanmin(grid.height_m)), float(np.nanmax(grid.height_m))
         lines.append(f"height    {low:.0f} m" if low == high else f"height    {low:.0f} .. {high:.0f} m (draped)")
     if grid.crs:
         lines.append(f"system    {grid.crs if len(grid.crs) < 60 else grid.crs[:57] + '...'}")
@@ -80,6 +80,10 @@ def known(grid: GridMap, facts: dict[str, object]) -> list[str]:
 def info(
     map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF file.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns x,y,value of a text map: names, or numbers from 0 where it has no header."),
+    ] = None,
     geographic: Annotated[bool | None, typer.Option(help="Coordinates are degrees.")] = None,
     sigma: Annotated[
         float, typer.Option(callback=positive, help="Standard deviation of a measured value, map error included.")
@@ -87,7 +91,7 @@ def info(
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> int:
     """What is in a map, its statistics, and whether one can navigate on it."""
-    grid = read_grid(map, variable, geographic=geographic)
+    grid = read_grid(map, variable, geographic=geographic, columns=three(columns))
     facts = summary(grid)
     slope = facts["gradient_per_km"]["median"]  # type: ignore[index]
     # n samples across a slope g of noise s give a position to s / (g sqrt(n)); 30 is an ordinary sequence.
@@ -98,9 +102,9 @@ def info(
         return 0
     unit = "deg" if grid.geographic else "m"
     value = grid.units or "value units"
-    rows, columns = grid.shape
+    rows, width = grid.shape
     lines = [
-        f"map       {grid.name or map.name}: {rows} x {columns} nodes, {facts['dtype']}",
+        f"map       {grid.name or map.name}: {rows} x {width} nodes, {facts['dtype']}",
         f"x         {facts['x'][0]:.6g} .. {facts['x'][1]:.6g} {unit}, spacing {grid.spacing[0]:.6g} {unit} ({grid.spacing_m[0]:.0f} m)",  # type: ignore[index]
         f"y         {facts['y'][0]:.6g} .. {facts['y'][1]:.6g} {unit}, spacing {grid.spacing[1]:.6g} {unit} ({grid.spacing_m[1]:.0f} m)",  # type: ignore[index]
         f"holes     {facts['holes']} nodes ({100 * facts['holes_share']:.1f} %)",  # type: ignore[operator]

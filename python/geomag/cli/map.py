@@ -29,7 +29,12 @@ def make_map(
     smooth_m: Annotated[
         float | None, typer.Option(callback=positive, help="Average the lines over this length before, m.")
     ] = None,
-    folds: Annotated[int, typer.Option(min=2, help="Parts that the lines are left out in when errors are learnt.")] = 3,
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            min=2, help="Parts that the lines are left out in when errors are learnt; 6 where there are lines enough."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the learning.")] = 0,
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
     y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
@@ -50,7 +55,7 @@ def make_map(
     from geomag.io._kept import labelled
     from geomag.survey import Lines, line_spacing_m, map_from_lines, smooth_lines
 
-    points, labels = line_points(lines, x, y, value, line, geographic)
+    points, labels, _ = line_points(lines, x, y, value, line, geographic)
     survey = Lines(points.x, points.y, points.values, labels, bool(points.geographic))
     if smooth_m is not None:
         survey = smooth_lines(survey, smooth_m)

@@ -11,7 +11,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Track
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
-from geomag.cli._common import describe, fix_json, load_track
+from geomag.cli._common import describe, fix_json, load_track, three
 from geomag.cli._methods import (
     IEMA_SIGMA,
     LARGEST_IS_BEST,
@@ -39,7 +39,12 @@ def default_half_width_m(grid: GridMap) -> float:
 def match(
     context: typer.Context,
     map: Annotated[Path, typer.Argument(help="Map file: netCDF, GeoTIFF, Surfer, GXF, Oasis montaj, xyz text.")],
-    track: Annotated[Path, typer.Argument(help="Track file: CSV, text or Parquet with position and value columns.")],
+    track: Annotated[
+        Path,
+        typer.Argument(
+            help="Track file: CSV, text or Parquet with position and value columns, or the log of a vehicle."
+        ),
+    ],
     method: Annotated[Method, typer.Option(help="Matcher.")] = Method.posterior,
     half_width_m: Annotated[
         float | None,
@@ -100,10 +105,21 @@ def match(
         typer.Option(help="Contour: rigid ICCP to the letter, from the INS; otherwise a lattice of starts, refined."),
     ] = False,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns x,y,value of a text map: names, or numbers from 0 where it has no header."),
+    ] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
     y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
     value: Annotated[str | None, typer.Option(help="Column of the measured values.")] = None,
+    position: Annotated[
+        str | None,
+        typer.Option(help="Stream of the positions of a log (PX4, ArduPilot, ROS, MagNav), where it has several."),
+    ] = None,
+    reading: Annotated[
+        str | None, typer.Option(help="Stream of the readings of a log, or a number of any message as message.field.")
+    ] = None,
     drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
     plot: Annotated[Path | None, typer.Option(callback=picture, help="Write a picture to this file.")] = None,
@@ -116,12 +132,12 @@ def match(
 ) -> int:
     """Find where a track truly ran, from a map and its measured values."""
     refuse_idle(context, method.value, letter)
-    grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
+    grid = read_grid(map, variable, geographic=geographic, columns=three(columns), sigma=map_sigma)
     if line_spacing_m is not None:
         if map_sigma is not None:
             raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
         grid = with_line_spacing(grid, line_spacing_m)
-    samples = load_track(track, grid, x, y, value, drop_missing)
+    samples = load_track(track, grid, x, y, value, drop_missing, position, reading)
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     told = Settings(
         half_width_m=reach,

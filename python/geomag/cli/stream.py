@@ -16,6 +16,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Iema, PosteriorMatcher, SlidingContour
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import not_negative, positive, share
+from geomag.cli._common import three
 from geomag.cli.match import default_half_width_m
 from geomag.io import read_grid
 
@@ -77,6 +78,10 @@ def stream(
     ] = Output.json,
     restart: Annotated[bool, typer.Option(help="Begin anew after a fix, or when lost.")] = True,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns x,y,value of a text map: names, or numbers from 0 where it has no header."),
+    ] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
 ) -> int:
     """Read samples from standard input, write one JSON object a sample to standard output, at once; lines that cannot be read are told."""
@@ -84,7 +89,7 @@ def stream(
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE" and meant != method.value:
             raise InvalidInputError(f"--{name.replace('_', '-')}: needed --method {meant}, got {method.value}")
-    grid = read_grid(map, variable, geographic=geographic)
+    grid = read_grid(map, variable, geographic=geographic, columns=three(columns))
     writer = pipe.json_lines(sys.stdout)
     if output is Output.mavlink:
         from geomag.mavlink import Encoder

@@ -11,7 +11,7 @@ import typer
 
 from geomag.cli import app
 from geomag.cli._checks import direction, not_negative, output, picture, positive
-from geomag.cli._common import jsonable, percent, teller
+from geomag.cli._common import jsonable, percent, teller, three
 from geomag.cli._route import along_route, read_route
 from geomag.io import read_grid
 
@@ -65,13 +65,17 @@ def suitability(
         Path | None, typer.Option(callback=picture, help="Write a picture of the worst heading to this file.")
     ] = None,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(help="Columns x,y,value of a text map: names, or numbers from 0 where it has no header."),
+    ] = None,
     geographic: Annotated[bool | None, typer.Option(help="Map coordinates are degrees.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")] = False,
 ) -> int:
     """Bound the position error of a straight track to every node of a map: where a fix can be had, how soon."""
     from geomag.blocks import position_bound
 
-    grid = read_grid(map, variable, geographic=geographic)
+    grid = read_grid(map, variable, geographic=geographic, columns=three(columns))
     if route is not None:
         rows = along_route(
             grid, *read_route(route, x, y), spacing_m=speed * interval, samples=samples, half_width_m=half_width_m,
@@ -92,6 +96,7 @@ def suitability(
         map_error_m=displaced,
         tolerance_m=tolerance_m,
         geographic=grid.geographic,
+        ground_scale=(1.0, 1.0) if grid.geographic else grid.metres_per_unit(float(0.5 * (grid.y[0] + grid.y[-1]))),
         progress=not as_json,
     )
     say = teller(as_json)

@@ -78,12 +78,12 @@ def bag_table(path: str | Path, position: str | None = None, reading: str | None
     }
     chosen = one_of(places, position, "position", where)
     if wanted:
-        found = rows["other"].get(topic)
-        if not found:
+        own = rows["other"].get(topic)
+        if not own:
             raise UnknownVariableError(
                 f"{where}: needed reading= among {', '.join(rows['field']) or 'none'}, or topic.field, got '{reading}'"
             )
-        return joined(chosen, Series(topic, column(found, 0), {"value": column(found, 1)}), where)
+        return joined(chosen, Series(topic, column(own, 0), {"value": column(own, 1)}), where)
     fields = {
         k: Series(
             k,

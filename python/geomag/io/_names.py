@@ -139,6 +139,8 @@ def _kind(compact: str, words_in_order: list[str], unit: str | None) -> tuple[Ki
         if compact in names:
             return kind, system  # type: ignore[return-value]
     # Whose longitude it is (`ins_lon`, `gps1_longitude`) does not make it another thing, but two of them are asked about.
+    if words & {"true", "truth", "reference", "ref"}:
+        return "other", None
     last = re.sub(r"[^a-z]", " ", " ".join(words_in_order)).split()[-1:] or [""]
     if last[0] in ("lon", "longitude", "lng", "lat", "latitude"):
         return ("x" if last[0] in _LONGITUDE else "y"), "geographic"

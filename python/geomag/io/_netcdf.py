@@ -293,7 +293,9 @@ def _of_array(
     if ours or kept:
         grid = GridMap(values, xs, ys, geographic=geographic, sigma=layer, name=name, units=units_, crs=text)
     else:
-        grid = make_map(values, xs, ys, geographic=geographic, sigma=layer, name=name, units=units_, crs=text, where=where)
+        grid = make_map(
+            values, xs, ys, geographic=geographic, sigma=layer, name=name, units=units_, crs=text, where=where
+        )
     return _kept.restored_array(grid, data_array, kept, override=sigma is not None) if kept else grid
 
 

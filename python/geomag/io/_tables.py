@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError, ReadError
 from geomag._optional import require
-from geomag.io import _bag, _dataflash, _magnav, _mgd77, _ulog
+from geomag.io import _bag, _dataflash, _log_tables, _magnav, _mgd77, _ulog
 from geomag.io._names import Column, columns_of
+from geomag.io._serial import read_nmea
 from geomag.io._text import Table, decoded, existing, parse, plain_bytes
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ def load_table(path: str | Path, position: str | None = None, reading: str | Non
         return _bag.bag_table(path, position, reading)
     if head.startswith(b"\x89HDF") and _magnav.is_magnav_flight(path):
         return _magnav.magnav_table(path, position, reading)
+    if head.lstrip(b"\xef\xbb\xbf \r\n")[:1] == b"$" and position is None and reading is None:
+        return _nmea_table(decoded(path.read_bytes(), str(path)), str(path))
     if position is not None or reading is not None:
         raise InvalidInputError(
             f"{path}: needed no position= and reading=, which name the streams of a log, for a table"
@@ -77,6 +80,22 @@ def load_table(path: str | Path, position: str | None = None, reading: str | Non
         return _mgd77.mgd77_table(text, str(path))
     table = parse(text, str(path))
     return _mgd77.m77t_table(table, str(path)) if _mgd77.looks_like_m77t(text) else table
+
+
+def _nmea_table(text: str, where: str) -> Table:
+    """Samples of a file of NMEA sentences; times where every sample has one."""
+    samples = list(read_nmea(text.split("\n")))
+    if not samples:
+        raise ReadError(
+            f"{where}: needed positions (GGA or RMC) and readings ($PGMAG) after them, got none that can be read"
+        )
+    columns = {
+        n: np.array([getattr(s, k) for s in samples])
+        for n, k in (("longitude", "x"), ("latitude", "y"), ("value", "value"))
+    }
+    times = [s.time_s for s in samples]
+    timed = {} if None in times else {"time_s": np.array(times, dtype=np.float64)}
+    return _log_tables.numbers_table(timed | columns, where)
 
 
 def read_table(path: str | Path) -> pd.DataFrame:

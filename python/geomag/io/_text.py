@@ -196,6 +196,8 @@ def parse(text: str, where: str) -> Table:
     labels: list[tuple[int, str]] = []
     for number, line in rows_of(text):
         bare = line.lstrip(" \ufeff")
+        if not bare:
+            continue
         if bare[0] in "#%/" or bare.startswith("!"):
             if not content:
                 comments.append(bare.lstrip("#%/! \t"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._errors import DataWarning, InvalidInputError, ReadError
+from geomag._errors import DataWarning, InvalidInputError, ReadError, TooFewSamplesError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.io import _times
@@ -229,7 +229,7 @@ def track_of(
         )
     keep = np.asarray(~bad)
     if not keep.any():
-        raise InvalidInputError(f"{where}: needed a position and a value in one row at least, got none")
+        raise TooFewSamplesError(f"{where}: needed a position and a value in one row at least, got none")
     px, py, values = points.x[keep], points.y[keep], points.values[keep]
     step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
     seconds = _seconds(table, time, time_unit, keep, step_m)
@@ -308,7 +308,11 @@ def _seconds(
         if np.isnan(plain).any():
             _untimed(where, "a time is missing", asked)
             return None
-        told = unit or (None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit) or ("hhmmss" if "hhmmss" in column.name.lower() else None)
+        told = (
+            unit
+            or (None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit)
+            or ("hhmmss" if "hhmmss" in column.name.lower() else None)
+        )
         told = told or ("hhmm" if "hhmm" in column.name.lower() else None)
         seconds = _times.from_numbers(plain, told, where, step_m)
     else:
@@ -326,6 +330,20 @@ def _seconds(
         _untimed(where, f"times fall at row {falls[0] + 1}", asked)
         return None
     return seconds
+
+
+def times_of(table: Table, asked: str | int | None, points: Points) -> Array:
+    """Times of every row, seconds, for what cannot do without; errors say what is wrong with them."""
+    columns = [asked_column(table.columns, asked, table.where)] if asked is not None else _time_column(table, None)
+    if not columns:
+        the_one(table.columns, "time", [c for c in table.columns if c.kind == "time"], table.where)
+    step_m = None if points.geographic is None else steps_m(points.x, points.y, points.geographic)
+    found = _seconds(
+        table, asked if asked is not None else columns[-1].name, None, np.ones(len(table), dtype=bool), step_m
+    )
+    if found is None:  # a date beside a time of day, which are looked for without asking
+        raise InvalidInputError(f"{table.where}: needed times in column '{columns[-1].name}', got none")
+    return found
 
 
 def _untimed(where: str, why: str, asked: object) -> None:
@@ -358,8 +376,9 @@ def line_points(
     value: str | None,
     line: str | None,
     geographic: bool | None,
-) -> tuple[Points, NDArray[Any]]:
-    """Points of survey lines and the label of each; rows without position or value are left out."""
+    height: str | None = None,
+) -> tuple[Points, NDArray[Any], NDArray[np.float64] | None]:
+    """Points of survey lines, the label of each, and its height where asked for; rows without one of them are left out."""
     table = load_table(path)
     points = points_of(table, x, y, value, geographic=geographic)
     if points.geographic is None:
@@ -367,7 +386,7 @@ def line_points(
             f"{table.where}: needed to know whether columns '{points.columns[0].name}' and '{points.columns[1].name}' are degrees or "
             "metres, got neither units nor names that say so; pass geographic=True or geographic=False"
         )
-    if line is None and table.labels is not None:
+    if table.labels is not None and line in (None, "line"):
         labels: NDArray[Any] = np.array(table.labels)
     else:
         found = [c for c in table.columns if c.kind == "line"]
@@ -380,6 +399,12 @@ def line_points(
         texts, plain = text_or_numbers(table, one)
         labels = np.array(texts) if plain is None else plain
     keep = np.isfinite(points.x) & np.isfinite(points.y) & np.isfinite(points.values)
+    heights = None
+    if height is not None:
+        column = asked_column(table.columns, height, table.where)
+        at = f"{table.where}: column '{column.name}'"
+        heights = without_dummies(table.floats(column), at) * metres_in(column.unit, at)
+        keep &= np.isfinite(heights)
     if not keep.any():
         raise ReadError(f"{table.where}: needed a position and a value in one row at least, got none")
     points.x, points.y, points.values = points.x[keep], points.y[keep], points.values[keep]
@@ -387,4 +412,4 @@ def line_points(
         points.x = _one_turn(points.x)
     if labels.dtype.kind == "f" and np.all(labels == np.rint(labels)):
         labels = labels.astype(np.int64)
-    return points, labels[keep]
+    return points, labels[keep], None if heights is None else heights[keep]

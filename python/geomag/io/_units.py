@@ -63,7 +63,9 @@ def is_degree(unit: str) -> bool:
 def check_sense(unit: str, where: str) -> None:
     """Refuse degrees that are counted to the west or to the south."""
     if is_degree(unit) and re.search(r"(west|south|[_\s]w|[_\s]s)$", tidy(unit)):
-        raise InvalidInputError(f"{where}: needed degrees to the east and to the north, got {unit!r}; turn their signs first")
+        raise InvalidInputError(
+            f"{where}: needed degrees to the east and to the north, got {unit!r}; turn their signs first"
+        )
 
 
 def metres_in(unit: str | None, where: str) -> float:

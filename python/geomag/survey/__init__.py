@@ -1,6 +1,6 @@
 """Survey lines to a map that knows its own errors.
 
-`map_from_lines` grids the lines, leaves a third of them out at a time, matches those against a map of the others, and
+`map_from_lines` grids the lines, leaves a part of them out at a time, matches those against a map of the others, and
 learns from what it sees how large the errors of a gridded map are, how far along a track they go together, and how far whole
 features stand displaced. The `GridMap` that comes back carries all of it; `match_posterior` needs nothing else.
 
@@ -21,9 +21,12 @@ observational data, SIAM, 1990), its length is chosen by those lines (`ErrorMode
 
 from __future__ import annotations
 
-from geomag.survey._learn import ErrorModel, learn_errors
-from geomag.survey._lines import Lines, folds_of, line_spacing_m, read_lines, smooth_lines
+from geomag.survey._flights import learn_from_flights
+from geomag.survey._learn import learn_errors
+from geomag.survey._lines import Lines, read_lines, smooth_lines
 from geomag.survey._maps import map_from_lines, with_errors, with_line_spacing
+from geomag.survey._model import ErrorModel, limit_of_mean
+from geomag.survey._survey import Survey, folds_of, line_spacing_m
 
-__all__ = ["ErrorModel", "Lines", "folds_of", "learn_errors", "line_spacing_m", "map_from_lines", "read_lines", "smooth_lines",
+__all__ = ["ErrorModel", "Lines", "Survey", "folds_of", "learn_errors", "learn_from_flights", "limit_of_mean", "line_spacing_m", "map_from_lines", "read_lines", "smooth_lines",
            "with_errors", "with_line_spacing"]  # fmt: skip

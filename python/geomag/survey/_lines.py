@@ -1,10 +1,11 @@
-"""Survey lines: what they are, how they are read, averaged, cut into windows and shared out."""
+"""Survey lines: what they are, how they are read and averaged."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,20 +15,47 @@ from geomag._metres import metres_per_unit
 from geomag._ranges import above
 from geomag.io import line_points
 
-Array = npt.NDArray[np.float64]
-#: Places and values of the samples of one window: x, y, values.
-Window = tuple[Array, Array, Array]
+if TYPE_CHECKING:
+    from geomag.survey._survey import Survey
 
-#: Samples of one learning window, and the fewest that still make one.
-WINDOW = 40
-SHORTEST_WINDOW = 20
+Array = npt.NDArray[np.float64]
+
+
+def on_one_turn(longitude: Array) -> Array:
+    """Longitudes moved by whole turns so that their range is the shortest: lines over the date line stay in one piece.
+
+    Longitudes whose range cannot be shortened come back as they are.
+    """
+    turned = np.unique(np.mod(longitude, 360.0))
+    gaps = np.append(np.diff(turned), turned[0] + 360.0 - turned[-1])
+    # The circle is cut at its widest empty stretch.
+    after = (int(gaps.argmax()) + 1) % turned.size
+    if float(np.ptp(longitude)) <= 360.0 - float(gaps.max()) + 1e-9:
+        return longitude
+    first = float(turned[after])
+    first -= 360.0 * (first > 180.0)
+    return np.asarray(longitude - 360.0 * np.floor((longitude - first + 1e-9) / 360.0), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Lines:
     """Survey lines: positions, values and line labels of all points, in the order of flight within each line.
 
-    Shapes (n,); positions in map units (metres, or degrees with `geographic`), values in the map's unit.
+    Shapes (n,); positions in map units (metres, or degrees with `geographic`), values in the map's unit. `height_m` (a number or shape
+    (n,), metres above the map's height datum) is what the readings were taken at, None where unknown; `unit` and `name` are those of the
+    values and go on to the map. Longitudes on both sides of the date line are put on one turn: 179.9 and -179.9 become 179.9 and 180.1.
+    `survey` has what follows from the lines: their stretches, spacing, scale and noise.
+
+    Raises `InvalidInputError` for what is no finite number or no latitude, `ShapeError` for unequal lengths, `TooFewSamplesError` for none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from geomag.survey import Lines
+    >>> x, y = (a.ravel() for a in np.meshgrid(np.arange(0.0, 5000.0, 25.0), np.arange(0.0, 3000.0, 250.0)))
+    >>> lines = Lines(x, y, np.sin(x / 300), np.repeat(np.arange(12), 200), height_m=80.0, unit="nT")
+    >>> len(lines.survey.pieces), round(lines.survey.spacing_m)
+    (12, 229)
     """
 
     x: Array
@@ -35,19 +63,26 @@ class Lines:
     values: Array
     line: npt.NDArray[Any]
     geographic: bool = False
+    height_m: Array | float | None = None
+    unit: str | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
         """Convert, and refuse what does not fit together."""
-        for name in ("x", "y", "values"):
+        numbers = ("x", "y", "values") if self.height_m is None else ("x", "y", "values", "height_m")
+        for name in numbers:
             try:
-                object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=np.float64))
+                array = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             except (TypeError, ValueError) as error:
                 raise InvalidInputError(f"lines {name}: needed numbers, got something else ({error})") from error
+            object.__setattr__(self, name, array)
+        if self.height_m is not None and np.size(self.height_m) == 1:
+            object.__setattr__(self, "height_m", np.full(self.x.shape, float(np.ravel(self.height_m)[0])))
         object.__setattr__(self, "line", np.asarray(self.line))
-        shapes = {name: getattr(self, name).shape for name in ("x", "y", "values", "line")}
+        shapes = {name: getattr(self, name).shape for name in (*numbers, "line")}
         if len(set(shapes.values())) != 1 or len(self.x.shape) != 1:
-            raise ShapeError(f"lines: needed x, y, values and line of one length, got {shapes}")
-        for name in ("x", "y", "values"):
+            raise ShapeError(f"lines: needed {', '.join(numbers)} and line of one length, got {shapes}")
+        for name in numbers:
             bad = np.flatnonzero(~np.isfinite(getattr(self, name)))
             if bad.size:
                 raise InvalidInputError(
@@ -55,25 +90,56 @@ class Lines:
                 )
         if self.x.size == 0:
             raise TooFewSamplesError("lines: needed at least 1 point, got 0")
-        if self.geographic and np.abs(self.y).max() > 90.0:
-            worst = self.y[np.abs(self.y).argmax()]
-            raise InvalidInputError(
-                f"lines y: needed latitudes in [-90, 90] degrees (are the lines in metres?), got {worst:g}"
-            )
+        if self.geographic:
+            if np.abs(self.y).max() > 90.0:
+                worst = self.y[np.abs(self.y).argmax()]
+                raise InvalidInputError(
+                    f"lines y: needed latitudes in [-90, 90] degrees (are the lines in metres?), got {worst:g}"
+                )
+            if np.abs(self.x).max() > 720.0:
+                worst = self.x[np.abs(self.x).argmax()]
+                raise InvalidInputError(
+                    f"lines x: needed longitudes in [-720, 720] degrees (are the lines in metres?), got {worst:g}"
+                )
+            object.__setattr__(self, "x", on_one_turn(self.x))
+
+    @staticmethod
+    def joined(parts: list[Lines]) -> Lines:
+        """Parts of one survey as one `Lines`, in that order."""
+        first = parts[0]
+        columns = {name: np.concatenate([getattr(one, name) for one in parts]) for name in first._columns()}
+        return first._with(**columns)
 
     def split(self) -> list[Lines]:
         """One `Lines` for every label, in the order of first appearance."""
         return [self._take(rows) for rows in self._rows()]
 
+    @cached_property
+    def survey(self) -> Survey:
+        """What follows from the lines: made once, asked by everything."""
+        from geomag.survey._survey import Survey
+
+        return Survey(self)
+
     def _rows(self) -> list[npt.NDArray[np.int_]]:
-        """Rows of every line, in the order of first appearance."""
+        """Rows of every label, in the order of first appearance."""
         _, first, inverse = np.unique(self.line, return_index=True, return_inverse=True)
         order = np.argsort(inverse, kind="stable")
         pieces = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
         return [pieces[k] for k in np.argsort(first)]
 
+    def _columns(self) -> list[str]:
+        return ["x", "y", "values", "line"] + ["height_m"] * (self.height_m is not None)
+
     def _take(self, keep: npt.NDArray[Any]) -> Lines:
-        return Lines(self.x[keep], self.y[keep], self.values[keep], self.line[keep], self.geographic)
+        return self._with(**{name: getattr(self, name)[keep] for name in self._columns()})
+
+    def _with(self, **columns: npt.NDArray[Any]) -> Lines:
+        """The same survey with other columns, which were checked and lie on the same turn already."""
+        out: Lines = object.__new__(Lines)
+        for field in fields(Lines):
+            object.__setattr__(out, field.name, columns.get(field.name, getattr(self, field.name)))
+        return out
 
     def scale_m(self) -> tuple[float, float]:
         """Metres per map unit (east, north) at the middle of the lines."""
@@ -87,18 +153,25 @@ def read_lines(
     y: str | None = None,
     value: str | None = None,
     line: str | None = None,
+    height: str | None = None,
     geographic: bool | None = None,
+    unit: str | None = None,
+    name: str | None = None,
 ) -> Lines:
     """Read survey lines from a table (CSV, compressed or not, Geosoft's text form, Parquet) with one row a point.
 
     Columns are known by their names and units as in `geomag.read_track`; what is not known is asked for. Lines are told apart by a column, or
-    by `Line` and `Tie` before their points. Rows without a position or a value (`*`) are left out.
+    by `Line` and `Tie` before their points. `height` is the column of the heights, where they are to be read; `unit` and `name` are those of the values,
+    the unit as the file says it where it does. Rows without a position, a value (`*`) or, if asked for, a height are left out.
 
     Raises `MissingFileError`, `ReadError` for a file that is no table, `UnknownVariableError` naming the columns that
     there are, and `InvalidInputError` where nothing says whether coordinates are degrees or metres.
     """
-    points, labels = line_points(path, x, y, value, line, geographic)
-    return Lines(points.x, points.y, points.values, labels, bool(points.geographic))
+    points, labels, heights = line_points(path, x, y, value, line, geographic, height)
+    unit = points.unit if unit is None else unit
+    return Lines(
+        points.x, points.y, points.values, labels, bool(points.geographic), height_m=heights, unit=unit, name=name
+    )
 
 
 def legs_m(x: Array, y: Array, scale_m: tuple[float, float]) -> Array:
@@ -112,7 +185,7 @@ def along_m(x: Array, y: Array, scale_m: tuple[float, float]) -> Array:
 
 
 def smooth_lines(lines: Lines, length_m: float) -> Lines:
-    """Lines whose values are means over `length_m` along each line, taken twice, which narrows to its ends.
+    """Lines whose values are means over `length_m` along each line, taken twice, which narrows to its ends and to gaps.
 
     Every reading of a survey is honoured by its map. Where their noise makes slopes as steep as the field's own, the map has features
     that are none, and the risks declared on it are too small. A quarter to a whole of the line spacing takes the noise away and
@@ -136,7 +209,7 @@ def smooth_lines(lines: Lines, length_m: float) -> Lines:
     above(0, length_m=length_m)
     scale = lines.scale_m()
     values = lines.values.copy()
-    for rows in lines._rows():
+    for rows in lines.survey.rows:
         along = along_m(lines.x[rows], lines.y[rows], scale)
         half = np.minimum(0.5 * length_m, np.minimum(along, along[-1] - along)) * (1 + 1e-9)
         first = np.searchsorted(along, along - half, side="left")
@@ -148,65 +221,4 @@ def smooth_lines(lines: Lines, length_m: float) -> Lines:
             total = np.concatenate([[0.0], np.cumsum(some)])
             some = (total[last] - total[first]) / (last - first)
         values[rows] = mean + some
-    return Lines(lines.x, lines.y, values, lines.line, lines.geographic)
-
-
-def line_spacing_m(lines: Lines) -> float:
-    """Distance between neighbouring lines, metres: the area that they cover over their length."""
-    east, north = lines.scale_m()
-    length = 0.0
-    for one in lines.split():
-        length += float(np.sum(legs_m(one.x, one.y, (east, north))))
-    if length == 0.0:
-        raise TooFewSamplesError("lines: needed lines of at least 2 points each, got single points")
-    # The area is counted in boxes a few spacings wide, which a line crosses wherever there are lines at all, and which divide
-    # the extent evenly, so that none lies half outside.
-    position = np.column_stack([(lines.x - lines.x.min()) * east, (lines.y - lines.y.min()) * north])
-    extent = np.maximum(position.max(axis=0), 1e-9 * position.max())
-    spacing, box = 0.0, float(extent.max()) / 50
-    for _ in range(3):
-        count = np.ceil(extent / box).astype(int)
-        boxes = np.unique(np.minimum((position / extent * count).astype(int), count - 1), axis=0)
-        spacing = float(len(boxes) * np.prod(extent / count) / length)
-        # A single line covers no area of its own: it is taken to stand for boxes as wide as they are long.
-        spacing = max(spacing, float(np.sqrt(np.prod(extent / count))) / 50) if np.all(count > 1) else box
-        box = 4 * spacing
-    return spacing
-
-
-def folds_of(lines: list[Lines], folds: int) -> npt.NDArray[np.int_]:
-    """Fold of every line: neighbours get different ones, east-west and north-south lines apart."""
-    out = np.zeros(len(lines), dtype=int)
-    east, north = lines[0].scale_m()
-    across = np.array([np.ptp(one.x) * east >= np.ptp(one.y) * north for one in lines])
-    where = np.array([np.median(one.y) if a else np.median(one.x) for one, a in zip(lines, across, strict=True)])
-    for kind in (True, False):
-        members = np.flatnonzero(across == kind)
-        out[members[np.argsort(where[members], kind="stable")]] = np.arange(members.size) % folds
-    return out
-
-
-def noise_of(lines: list[Lines]) -> float:
-    """Noise of the data along the lines, robustly: second differences hold little else."""
-    second = np.concatenate([np.diff(one.values, 2) for one in lines])
-    rounding = np.abs(np.diff(np.unique(np.concatenate([one.values[:200] for one in lines[:50]]))))
-    floor = float(rounding[rounding > 0].min()) / np.sqrt(12) if np.any(rounding > 0) else 0.0
-    return float(max(1.4826 * float(np.median(np.abs(second))) / np.sqrt(6), floor, 1e-9))
-
-
-def windows_of(lines: list[Lines], spacing_m: float, length: int, overlap: float = 0.0) -> list[Window]:
-    """Equally spaced samples along every line: as many windows of `length` as fit, or one shorter.
-
-    A window shares `overlap` of its samples with the one before it.
-    """
-    out = []
-    for one in lines:
-        along = along_m(one.x, one.y, one.scale_m())
-        total = int(along[-1] / spacing_m) + 1
-        step = length if total >= length else total
-        if step < SHORTEST_WINDOW:
-            continue
-        for start in range(0, total - step + 1, max(1, round(step * (1 - overlap)))):
-            at = spacing_m * (start + np.arange(step))
-            out.append((np.interp(at, along, one.x), np.interp(at, along, one.y), np.interp(at, along, one.values)))
-    return out
+    return lines._with(values=values)

@@ -9,9 +9,14 @@ import numpy as np
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, _distance_to_data
 from geomag._ranges import above
-from geomag.survey._learn import ErrorModel, Law, Progress, layered, learn_errors, sigma_of
+from geomag.survey._folds import REACH
+from geomag.survey._learn import learn_errors
 from geomag.survey._lines import Array, Lines
+from geomag.survey._model import ErrorModel, Law, sigma_of
+from geomag.survey._steps import Progress, Steps
 from geomag.survey._surface import Axes, features, grid_lines, weight_of
+from geomag.survey._survey import WINDOW
+from geomag.survey._trials import layered
 
 #: Where the line spacing is all that is known (`with_line_spacing`): mean distance to the data in line spacings; displacement
 #: (b of the formula), correlation length and registration in such distances. The same for every survey; from the two of
@@ -22,15 +27,22 @@ SPACING_CORRELATION = 2.25
 SPACING_REGISTRATION = 0.15
 
 
-def with_errors(grid: GridMap, lines: Lines, model: ErrorModel) -> GridMap:
+def with_errors(grid: GridMap, lines: Lines | None, model: ErrorModel) -> GridMap:
     """Return the map with the sigma and the error model that its lines give it.
 
     `grid` is any map made from `lines`; nodes further than 4 line spacings from a datum become holes, because nothing was learnt
-    about them.
+    about them. `lines` is None for a model that was learnt from flights over the grid (`learn_from_flights`), which has one distance
+    for the whole map. Raises `InvalidInputError` where there are neither lines nor such a distance.
     """
     axes = Axes.of(grid)
-    distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
-    values = np.where(distance <= 4 * model.line_spacing_m, np.asarray(grid.values, dtype=float), np.nan)
+    values = np.asarray(grid.values, dtype=float)
+    if lines is not None:
+        distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
+        values = np.where(distance <= REACH * model.line_spacing_m, values, np.nan)
+    elif model.distance_m is not None:
+        distance = np.where(np.isfinite(values), model.distance_m, np.nan)
+    else:
+        raise InvalidInputError("lines: needed those of the map, or a model learnt from flights, got neither")
     gradient, curvature = features(values, distance, axes)
     law = Law(model.noise, 0.5 * model.line_spacing_m, axes.cell)
     sigma = sigma_of(gradient, curvature, distance, law, model.floor, model.displacement, model.curvature)
@@ -46,8 +58,17 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
         correlation=model.correlation,
         registration=model.registration,
         distance_m=distance,
-        **({} if model.filter is None else asdict(model.filter)),
+        **_for_filters(model),
+        recalibration=model.recalibration,
+        forecast=model.forecast,
     )
+
+
+def _for_filters(model: ErrorModel) -> dict[str, float]:
+    """What filters need: as learnt, or at least the law of a single sample."""
+    if model.filter is not None:
+        return asdict(model.filter)
+    return {} if model.share is None else {"sample_factor": 1 / model.share}
 
 
 def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:
@@ -100,7 +121,11 @@ def map_from_lines(
     smoothing_m: float | None = None,
     max_distance_m: float | None = None,
     model: ErrorModel | None = None,
-    folds: int = 3,
+    spacing_m: float | None = None,
+    half_width_m: float | None = None,
+    tolerance_m: float | None = None,
+    samples: int = WINDOW,
+    folds: int | None = None,
     seed: int = 0,
     progress: Progress = None,
 ) -> GridMap:
@@ -117,8 +142,10 @@ def map_from_lines(
         every reading. By default the lines say: 0 unless lines that are left out clearly fit a smoother map better.
     max_distance_m : nodes further from any datum are holes; 2.5 line spacings by default.
     model : errors learnt before (`learn_errors`), to be used instead of learning them.
+    spacing_m, half_width_m, tolerance_m, samples : metres between samples, bound of the start error per axis, error beyond which a fix is wrong and samples of a
+        track, as they will be flown; errors are learnt for them (see `learn_errors`).
     folds, seed : of the cross-validation.
-    progress : callable (done, total), told about the learning.
+    progress : True for a bar, or a callable (done, total); told from the first moment on.
 
     Raises `TooFewSamplesError` where the lines are too few to learn from, `InvalidInputError` for options that do not go together.
     """
@@ -135,15 +162,30 @@ def map_from_lines(
             grid=grid,
             method=method,
             smoothing_m=smoothing_m,
+            spacing_m=spacing_m,
+            half_width_m=half_width_m,
+            tolerance_m=tolerance_m,
+            samples=samples,
             folds=folds,
             seed=seed,
             progress=progress,
         )
+        progress = None
     if grid is None:
         axes = Axes.over(lines, spacing)
         weight = weight_of(lines, axes, model.smoothing_m, model.line_spacing_m)
-        surface, distance = grid_lines([lines], axes, method, weight)
         reach = 2.5 * model.line_spacing_m if max_distance_m is None else max_distance_m
+        steps = Steps(progress, 1.0)
+        surface, distance = grid_lines(
+            [lines], axes, method, weight, reach + 1.5 * model.line_spacing_m, steps.within(1.0)
+        )
         xs, ys = axes.coordinates()
-        grid = GridMap(np.where(distance <= reach, surface, np.nan), xs, ys, geographic=lines.geographic)
+        grid = GridMap(
+            np.where(distance <= reach, surface, np.nan),
+            xs,
+            ys,
+            geographic=lines.geographic,
+            name=lines.name,
+            units=lines.unit,
+        )
     return with_errors(grid, lines, model)

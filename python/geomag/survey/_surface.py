@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, _distance_to_data, _minimum_curvature
 from geomag._optional import require
-from geomag.survey._lines import Array, Lines, legs_m, line_spacing_m
+from geomag.survey._lines import Array, Lines
 
 #: Nodes of a map whose spacing is chosen here.
 MOST_NODES = 1_500_000
@@ -39,7 +40,7 @@ class Axes:
         if spacing is None:
             # An eighth of the gap lets a feature be placed within it; a country is gridded more coarsely.
             area = np.ptp(lines.x) * east * np.ptp(lines.y) * north
-            step = max(line_spacing_m(lines) / 8, float(np.sqrt(area / MOST_NODES)))
+            step = max(lines.survey.spacing_m / 8, float(np.sqrt(area / MOST_NODES)))
             sx, sy = step / east, step / north
         else:
             try:
@@ -68,13 +69,27 @@ class Axes:
         return x, y
 
 
-def grid_lines(lines: list[Lines], axes: Axes, method: str, weight: float = np.inf) -> tuple[Array, Array]:
-    """Values and distances to the data at the nodes; a finite `weight` of each datum lets the surface miss it."""
+def grid_lines(
+    lines: list[Lines],
+    axes: Axes,
+    method: str,
+    weight: float = np.inf,
+    reach_m: float = np.inf,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Array, Array]:
+    """Values and distances to the data at the nodes; a finite `weight` of each datum lets the surface miss it.
+
+    Nodes further than `reach_m` from any datum are not worked out: their values have no meaning.
+    """
     x, y, values = (np.concatenate([getattr(one, name) for one in lines]) for name in ("x", "y", "values"))
     distance = _distance_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m)
     if method == "minimum_curvature":
         aspect = axes.cell_m[0] / axes.cell_m[1]
-        return _minimum_curvature(x, y, values, axes.x, axes.y, aspect=aspect, weight=weight), distance
+        reach = reach_m / axes.cell_m[1]
+        surface = _minimum_curvature(
+            x, y, values, axes.x, axes.y, aspect=aspect, weight=weight, reach=reach, progress=progress
+        )
+        return surface, distance
     if method not in ("linear", "cubic"):
         raise InvalidInputError(f"method: needed 'minimum_curvature', 'linear' or 'cubic', got '{method}'")
     interpolate = require("scipy.interpolate", "survey", f"gridding by method '{method}'")
@@ -95,8 +110,7 @@ def weight_of(lines: Lines, axes: Axes, smoothing_m: float, spacing_m: float) ->
     """Weight of a datum that damps waves of the length 2 pi `smoothing_m` to a half, where data lie everywhere as densely as on the mean."""
     if smoothing_m == 0:
         return np.inf
-    length = sum(float(legs_m(one.x, one.y, lines.scale_m()).sum()) for one in lines.split())
-    density = lines.x.size / (length * spacing_m)
+    density = lines.x.size / (lines.survey.length_m * spacing_m)
     return axes.cell_m[1] ** 3 / (axes.cell_m[0] * density * smoothing_m**4)
 
 

@@ -34,6 +34,66 @@ pub struct MapErrorModel {
     /// What a filter needs beyond what a matcher does; `None` where it was not learnt.
     #[serde(default)]
     pub filter: Option<FilterLaw>,
+    /// How the risk that the posterior computes is to be read; `None` where that was not learnt.
+    #[serde(default)]
+    pub recalibration: Option<Recalibration>,
+    /// How much worse than by the stated errors planned flights fare; `None` where that was not learnt.
+    #[serde(default)]
+    pub forecast: Option<Forecast>,
+}
+
+/// From the computed risk of an answer to the share that proves wrong on lines left out of the map: a line in log-odds
+/// (Platt, Probabilities for SV machines, 1999).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Recalibration {
+    /// Factor on the log-odds; below 1 where answers are bolder than they should be.
+    pub slope: f64,
+    /// What is added to the log-odds.
+    pub intercept: f64,
+}
+
+impl Recalibration {
+    /// Checks the ranges of the numbers.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] naming the first parameter out of range.
+    pub fn validate(&self) -> Result<()> {
+        require_positive("error model recalibration slope", self.slope)?;
+        if !self.intercept.is_finite() {
+            return Err(Error::invalid("error model recalibration intercept", "a finite number", self.intercept));
+        }
+        Ok(())
+    }
+
+    /// The risk to declare for a computed one; 0 and 1 stay what they are.
+    pub fn risk(&self, computed: f64) -> f64 {
+        if computed <= 0.0 || computed >= 1.0 {
+            return computed;
+        }
+        let odds = self.slope * (computed / (1.0 - computed)).ln() + self.intercept;
+        1.0 / (1.0 + (-odds).exp())
+    }
+}
+
+/// What a forecast has to know beyond the errors of the map, learnt from what was foretold of left-out lines and what came.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Forecast {
+    /// Factor on the map's errors in simulated flights, which makes as many of them fixed as were.
+    pub level: f64,
+    /// Standard deviation of fixes over that which the local information gives.
+    pub spread: f64,
+}
+
+impl Forecast {
+    /// Checks the ranges of the numbers.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] naming the first parameter out of range.
+    pub fn validate(&self) -> Result<()> {
+        require_not_negative("error model forecast level", self.level)?;
+        require_positive("error model forecast spread", self.spread)?;
+        Ok(())
+    }
 }
 
 /// How readings one after another fare against the map: what a filter has to know of its errors.
@@ -97,6 +157,12 @@ impl MapErrorModel {
         if let Some(law) = &self.filter {
             law.validate()?;
         }
+        if let Some(recalibration) = &self.recalibration {
+            recalibration.validate()?;
+        }
+        if let Some(forecast) = &self.forecast {
+            forecast.validate()?;
+        }
         match &self.distance_m {
             DistanceLayer::Constant(d) => {
                 require_not_negative("error model distance_m", *d)?;
@@ -119,5 +185,24 @@ impl MapErrorModel {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recalibration_is_a_line_in_log_odds() {
+        let of = |slope, intercept| Recalibration { slope, intercept };
+        let same = of(1.0, 0.0);
+        for risk in [0.0, 1e-12, 0.01, 0.5, 0.9, 1.0] {
+            assert!((same.risk(risk) - risk).abs() < 1e-15);
+        }
+        // Half the log-odds of 1 to 99 are those of 1 to 99 ^ 0.5.
+        assert!((of(0.5, 0.0).risk(0.01) - 1.0 / (1.0 + 99.0_f64.sqrt())).abs() < 1e-15);
+        assert!((of(1.0, 2.0_f64.ln()).risk(0.5) - 2.0 / 3.0).abs() < 1e-15);
+        assert!(of(0.0, 0.0).validate().is_err() && of(1.0, f64::NAN).validate().is_err());
+        assert!(of(0.8, -0.3).validate().is_ok());
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
-use geomag_core::map_error::{DistanceLayer, FilterLaw, MapErrorModel};
+use geomag_core::map_error::{DistanceLayer, Forecast, Recalibration, FilterLaw, MapErrorModel};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -322,9 +322,12 @@ impl PyGridMap {
     /// The five after `distance_m` are what a filter has to know (`Navigator`): sigma of a single sample over the stored
     /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
-    /// defaults; without any the navigator uses its own.
+    /// defaults; without any the navigator uses its own. `recalibration` (slope, intercept) is a line in log-odds from the risk that the
+    /// posterior computes to the one that is declared; `forecast` the factor on the map's errors in simulated flights and that on
+    /// the standard deviation foretold (`predict_many`).
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
-                        batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None))]
+                        batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
+                        recalibration = None, forecast = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -338,6 +341,8 @@ impl PyGridMap {
         crossover: Option<f64>,
         registration_m_per_d: Option<f64>,
         registration_length: Option<f64>,
+        recalibration: Option<(f64, f64)>,
+        forecast: Option<(f64, f64)>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
@@ -358,7 +363,18 @@ impl PyGridMap {
             registration_m_per_d: registration_m_per_d.unwrap_or(usual.registration_m_per_d),
             registration_length: registration_length.unwrap_or(usual.registration_length),
         });
-        let model = MapErrorModel { nu, scale_spread, correlation, registration, distance_m: layer, filter };
+        let recalibration = recalibration.map(|(slope, intercept)| Recalibration { slope, intercept });
+        let forecast = forecast.map(|(level, spread)| Forecast { level, spread });
+        let model = MapErrorModel {
+            nu,
+            scale_spread,
+            correlation,
+            registration,
+            distance_m: layer,
+            filter,
+            recalibration,
+            forecast,
+        };
         Ok(self.with_model(Some(model))?)
     }
 
@@ -384,6 +400,12 @@ impl PyGridMap {
             out.set_item("crossover", law.crossover)?;
             out.set_item("registration_m_per_d", law.registration_m_per_d)?;
             out.set_item("registration_length", law.registration_length)?;
+        }
+        if let Some(line) = &model.recalibration {
+            out.set_item("recalibration", (line.slope, line.intercept))?;
+        }
+        if let Some(forecast) = &model.forecast {
+            out.set_item("forecast", (forecast.level, forecast.spread))?;
         }
         Ok(Some(out))
     }
@@ -588,6 +610,8 @@ impl PyGridMap {
             }
         };
         let optional = |key: &str| -> PyRes<Option<f64>> { Ok(model.get_item(key)?.map(|v| v.extract()).transpose()?) };
+        let pair =
+            |key: &str| -> PyRes<Option<(f64, f64)>> { Ok(model.get_item(key)?.map(|v| v.extract()).transpose()?) };
         let Some(distance) = model.get_item("distance_m")? else {
             return Err(invalid("saved error model", "distance_m", "nothing"));
         };
@@ -602,6 +626,8 @@ impl PyGridMap {
             optional("crossover")?,
             optional("registration_m_per_d")?,
             optional("registration_length")?,
+            pair("recalibration")?,
+            pair("forecast")?,
         )
     }
 

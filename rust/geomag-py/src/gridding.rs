@@ -10,7 +10,7 @@ use crate::long_call;
 
 /// Minimum-curvature values (rows, columns) of points on the grid of two axes given as (first, step, length).
 #[pyfunction]
-#[pyo3(name = "_minimum_curvature", signature = (x, y, values, x_axis, y_axis, *, aspect, weight = f64::INFINITY, sweeps = 400, progress = None))]
+#[pyo3(name = "_minimum_curvature", signature = (x, y, values, x_axis, y_axis, *, aspect, weight = f64::INFINITY, reach = f64::INFINITY, sweeps = 120, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each
 pub fn py_minimum_curvature<'py>(
     py: Python<'py>,
@@ -21,6 +21,7 @@ pub fn py_minimum_curvature<'py>(
     y_axis: (f64, f64, usize),
     aspect: f64,
     weight: f64,
+    reach: f64,
     sweeps: usize,
     progress: Option<&Bound<'py, PyAny>>,
 ) -> PyRes<Bound<'py, PyAny>> {
@@ -28,7 +29,7 @@ pub fn py_minimum_curvature<'py>(
     let (xs, ys) = (Axis::new(x_axis.0, x_axis.1, x_axis.2)?, Axis::new(y_axis.0, y_axis.1, y_axis.2)?);
     let units = [xs.len(), ys.len(), sweeps, 4].iter().fold(1_u64, |product, &n| product.saturating_mul(n as u64));
     let out = long_call::run(py, units, None, progress, |monitor| {
-        minimum_curvature([&x, &y, &values], &xs, &ys, aspect, weight, sweeps, monitor)
+        minimum_curvature([&x, &y, &values], &xs, &ys, aspect, weight, reach, sweeps, monitor)
     })?;
     shaped(py, out, &[ys.len(), xs.len()])
 }

@@ -62,7 +62,8 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         second[1] += p[i] * de * dn;
         second[2] += p[i] * (dn * dn + blur2);
     }
-    let risk = (1.0 - inside).clamp(0.0, 1.0);
+    let computed = (1.0 - inside).clamp(0.0, 1.0);
+    let risk = problem.declared(computed);
     let offset = [centre[0] / scale[0], centre[1] / scale[1]];
     let detail = problem.detail(offset, posterior.step);
     let runner_up = posterior
@@ -75,7 +76,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         })
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
-    let status = status(problem, posterior, lattice, &p, offset, risk, detail.goodness, runner_up, second);
+    let status = status(problem, posterior, lattice, &p, offset, [computed, risk], detail.goodness, runner_up, second);
     // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
     let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
     let covariance = [
@@ -103,7 +104,7 @@ fn status(
     lattice: &Lattice,
     p: &[f64],
     offset: [f64; 2],
-    risk: f64,
+    [computed, risk]: [f64; 2],
     goodness: f64,
     runner_up: f64,
     second: [f64; 3],
@@ -135,7 +136,7 @@ fn status(
         let there = posterior.offsets[rival];
         let distance = ((there[0] - offset[0]) * scale[0]).hypot((there[1] - offset[1]) * scale[1]);
         let mass: f64 = posterior.offsets.iter().zip(p).filter(|(o, _)| !far(**o, there)).map(|(_, p)| *p).sum();
-        if distance > 2.0 * problem.tolerance_m && mass > 0.5 * risk {
+        if distance > 2.0 * problem.tolerance_m && mass > 0.5 * computed {
             return Status::Ambiguous;
         }
     }

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
+use crate::map_error::{Forecast, Recalibration};
 
 /// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
@@ -181,10 +182,14 @@ pub(super) struct Noise {
     /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
     pub levels_are_distances: bool,
     /// Standard deviation of the logarithm of a track's error level, 0 where the levels are no spread about the map's sigma.
-    spread: f64,
+    pub spread: f64,
     /// Correlation length and registration error, in distances to the data.
     pub correlation: f64,
     pub registration: f64,
+    /// How computed risks are to be read.
+    pub recalibration: Option<Recalibration>,
+    /// How planned flights fare.
+    pub forecast: Option<Forecast>,
 }
 
 impl Noise {
@@ -243,6 +248,8 @@ impl Noise {
             spread: if exact || !stated { 0.0 } else { spread },
             correlation: model.map_or(DEFAULT_CORRELATION, |m| m.correlation),
             registration: model.map_or(DEFAULT_REGISTRATION, |m| m.registration),
+            recalibration: model.and_then(|m| m.recalibration),
+            forecast: model.and_then(|m| m.forecast),
         })
     }
 }

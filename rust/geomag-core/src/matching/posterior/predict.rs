@@ -95,6 +95,8 @@ fn predict_interruptible(
         monitor.advance(0, 0)?;
         let offset =
             [rng.random_range(-1.0..1.0) * options.half_width[0], rng.random_range(-1.0..1.0) * options.half_width[1]];
+        // A track fares better or worse than the map's sigma as a whole.
+        let level = (expected.spread * rng.sample::<f64, _>(StandardNormal)).exp();
         let mut previous: f64 = rng.sample(StandardNormal);
         let noisy: Vec<f64> = (0..planned.len())
             .map(|k| {
@@ -102,7 +104,7 @@ fn predict_interruptible(
                 previous = expected.coefficient * previous
                     + (1.0 - expected.coefficient * expected.coefficient).sqrt() * fresh;
                 let sensor: f64 = rng.sample(StandardNormal);
-                planned.values()[k] + expected.map_sigma[k] * previous + expected.sensor_sigma * sensor
+                planned.values()[k] + level * expected.map_sigma[k] * previous + expected.sensor_sigma * sensor
             })
             .collect();
         let x = planned.x().iter().map(|x| x - offset[0]).collect();

@@ -13,6 +13,7 @@ use super::nuisance::{Node, Nuisance, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
+use crate::map_error::Forecast;
 use crate::monitor::Monitor;
 use crate::stack::Storey;
 use crate::track::Track;
@@ -25,6 +26,8 @@ pub(super) struct Expected {
     pub coefficient: f64,
     pub map_sigma: Vec<f64>,
     pub sensor_sigma: f64,
+    /// Standard deviation of the logarithm of a track's error level.
+    pub spread: f64,
 }
 
 /// What one offset looks like from near: see [`Problem::detail`].
@@ -418,7 +421,7 @@ impl<'a> Problem<'a> {
         let setup = self.setup(channel, 0, [0.0, 0.0]);
         let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
         let (map_sigma, distance) = self.along(channel);
-        let scaled: Vec<f64> = map_sigma.iter().map(|s| level.factor * s).collect();
+        
         let (share, temper) = channel.temper(&level, distance, channel.mean_variance(&map_sigma), self.spacing_m);
         let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };
@@ -431,6 +434,7 @@ impl<'a> Problem<'a> {
             [[nn / determinant, -en / determinant], [-en / determinant, ee / determinant]]
         };
         let registration = share * (noise.registration * distance).powi(2);
+        let forecast = noise.forecast.unwrap_or(Forecast { level: 1.0, spread: 1.0 });
         // What the Student-t estimate loses against the normal one where errors are normal: with nu = 3 some 10 %, with 10 some 2 %.
         let loss = 1.0 + 1.0 / (level.nu * level.nu);
         let mut covariance = invert(temper);
@@ -439,14 +443,28 @@ impl<'a> Problem<'a> {
                 *v *= loss;
             }
             row[d] += registration;
+            for v in row.iter_mut() {
+                *v *= forecast.spread * forecast.spread;
+            }
         }
         Expected {
             bound: invert(1.0),
             covariance,
             coefficient,
-            map_sigma: scaled,
+            map_sigma: map_sigma.iter().map(|s| forecast.level * level.factor * s).collect(),
             sensor_sigma: noise.sensor_variance.sqrt(),
+            spread: noise.spread,
         }
+    }
+
+    /// The risk to declare for a computed one: as the most careful of the channels' maps has it.
+    pub fn declared(&self, computed: f64) -> f64 {
+        self.channels
+            .iter()
+            .filter_map(|c| c.noise.recalibration)
+            .map(|r| r.risk(computed))
+            .reduce(f64::max)
+            .unwrap_or(computed)
     }
 
     /// Map sigma at every indicated position, and the mean distance to the data.

@@ -8,7 +8,6 @@ use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
 use super::{BIAS, Navigator, Newest, REGISTRATION, STATES};
 use crate::error::{Error, Result, require_finite};
-use crate::frame::displacement_m;
 
 /// Longest step over which the errors are carried on at once, seconds.
 const LONGEST_STEP_S: f64 = 5.0;
@@ -77,7 +76,7 @@ impl Navigator {
                 require_finite("velocity_m_s", &v)?;
                 v
             }
-            (None, Some(b)) if gap > 0.0 => displacement_m(geographic, [b.x, b.y], [x, y]).map(|d| d / gap),
+            (None, Some(b)) if gap > 0.0 => self.field.displacement_m([b.x, b.y], [x, y]).map(|d| d / gap),
             (None, Some(b)) => b.velocity_m_s,
             (None, None) => [0.0; 2],
         };
@@ -104,7 +103,7 @@ impl Navigator {
     /// The first step: what is known of the start, and of the map there.
     fn begin(&mut self, now: &Newest) {
         if let Some([x, y]) = self.state.options.start {
-            let error = displacement_m(self.field.geographic(), [self.field.wrap_x(x), y], [now.x, now.y]);
+            let error = self.field.displacement_m([self.field.wrap_x(x), y], [now.x, now.y]);
             self.state.filter.mean_mut()[POSITION..POSITION + 2].copy_from_slice(&error);
         }
         let distance = self.law.distance_m(self.field.as_ref(), now.x, now.y);
@@ -181,7 +180,7 @@ impl Navigator {
             let phi = transition(&rates(&motion), &decay, dt);
             self.state.filter.predict(&phi, &factors, &noise, &mut self.scratch);
         }
-        let moved = displacement_m(self.field.geographic(), place, [now.x, now.y]);
+        let moved = self.field.displacement_m(place, [now.x, now.y]);
         self.state.batch.gathered_m += moved[0].hypot(moved[1]);
     }
 

@@ -5,12 +5,16 @@
 //! curvature, Geophysics 39 (1974) 39; Smith and Wessel, Gridding with continuous curvature splines in tension, Geophysics 55 (1990)
 //! 293, here without tension) carries it across.
 
+mod distance;
+mod relax;
+
+pub use distance::distance_to_data;
+use relax::Level;
+
 use crate::error::{Error, Result, require_finite};
 use crate::grid::Axis;
 use crate::monitor::Monitor;
 
-/// Over-relaxation of the sweeps.
-const RELAXATION: f64 = 1.4;
 /// Grid steps of the successive levels, in steps of the final grid.
 const LEVELS: [usize; 4] = [8, 4, 2, 1];
 /// Times that the values at the data's nodes are brought up to date with the gradient, at each level.
@@ -20,20 +24,23 @@ const ROUNDS: usize = 4;
 ///
 /// `aspect` is the cell's width over its height in metres. Nodes with data in their own cell take the mean of these, moved to
 /// the node along the surface's gradient; all others are relaxed until the surface between them has least curvature
-/// (`sweeps` Gauss-Seidel sweeps a round; 100 is plenty). That is a `weight` of infinity; a finite one lets the surface miss
+/// (`sweeps` sweeps of over-relaxation a level; 100 are plenty). That is a `weight` of infinity; a finite one lets the surface miss
 /// its data, so that `weight` times the misses squared and the squared curvature (per cell height) together are least: a
-/// smoothing spline. Nodes far from any datum have no meaning; mask them with [`distance_to_data`].
+/// smoothing spline. Nodes far from any datum have no meaning; mask them with [`distance_to_data`]. Those further than `reach`
+/// (cell heights) keep what the coarsest level says.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a weight that is not above zero;
 /// [`Error::Shape`] for unequal lengths, [`Error::NotFinite`], [`Error::TooFewSamples`] where no point lies on the grid,
 /// [`Error::Interrupted`].
+#[allow(clippy::too_many_arguments)] // the parts of one equation
 pub fn minimum_curvature(
     points: [&[f64]; 3],
     x_axis: &Axis,
     y_axis: &Axis,
     aspect: f64,
     weight: f64,
+    reach: f64,
     sweeps: usize,
     monitor: &dyn Monitor,
 ) -> Result<Vec<f64>> {
@@ -42,30 +49,49 @@ pub fn minimum_curvature(
     if weight.is_nan() || weight <= 0.0 {
         return Err(Error::invalid("weight", "a number > 0", weight));
     }
+    if reach.is_nan() || reach <= 0.0 {
+        return Err(Error::invalid("reach", "a number > 0", reach));
+    }
+    // A node of a level counts as often as its sweep costs.
+    let total = LEVELS.iter().map(|level| work(sweeps, *level)).sum();
+    let mut done = 0;
     let mut coarse: Option<(Vec<f64>, usize, usize)> = None;
-    for (done, level) in LEVELS.into_iter().enumerate() {
-        monitor.advance(done as u64, LEVELS.len() as u64)?;
+    for level in LEVELS {
         let columns = (x_axis.len() - 1).div_ceil(level) + 1;
         let rows = (y_axis.len() - 1).div_ceil(level) + 1;
         let bins = bin(points, x_axis, y_axis, level, columns, rows)?;
-        let mut pins = Pins::new(&bins, weight * (level * level) as f64);
-        let mut surface = match &coarse {
+        let surface = match &coarse {
             None => start(&bins, columns, rows),
             Some((surface, c, r)) => refine(surface, *c, *r, columns, rows),
         };
+        let near = (coarse.is_some() && reach.is_finite()).then(|| {
+            let mut far: Vec<f64> = bins.iter().map(|b| if b.count > 0 { 0.0 } else { f64::INFINITY }).collect();
+            distance::transform(&mut far, [columns, rows], [aspect, 1.0]);
+            far.into_iter().map(|d| d * level as f64 <= reach).collect::<Vec<bool>>()
+        });
+        let mut here = Level::new(&bins, [columns, rows], aspect, weight * (level * level) as f64, near.as_deref());
+        here.load(&surface);
+        let each = sweeps.div_ceil(ROUNDS);
         for _ in 0..ROUNDS {
-            pins.set(&mut surface, &bins, columns, rows);
-            for _ in 0..sweeps.div_ceil(ROUNDS) {
-                monitor.advance(done as u64, LEVELS.len() as u64)?;
-                relax(&mut surface, &pins, columns, rows, aspect);
+            here.pin();
+            for _ in 0..each {
+                monitor.advance(done, total)?;
+                here.sweep();
+                done += (LEVELS[0] / level).pow(2) as u64;
             }
         }
-        pins.set(&mut surface, &bins, columns, rows);
-        coarse = Some((surface, columns, rows));
+        here.pin();
+        coarse = Some((here.unload(), columns, rows));
     }
     let (surface, columns, _) = coarse.unwrap_or_default();
     // The last level has the grid's own nodes, possibly one column or row more than the axes.
     Ok((0..y_axis.len()).flat_map(|r| surface[r * columns..r * columns + x_axis.len()].to_vec()).collect())
+}
+
+/// Share of the work that sweeps of a level are.
+fn work(sweeps: usize, level: usize) -> u64 {
+    let finest = (LEVELS[0] * LEVELS[0]) as u64;
+    (sweeps.div_ceil(ROUNDS) * ROUNDS) as u64 * finest / (level * level) as u64
 }
 
 fn check(x: &[f64], y: &[f64], values: &[f64]) -> Result<()> {
@@ -156,157 +182,6 @@ fn refine(coarse: &[f64], c: usize, r: usize, columns: usize, rows: usize) -> Ve
     fine
 }
 
-/// What holds each node: the weight of its data against the curvature, none where there are no data, and the value that they ask for.
-struct Pins {
-    weight: Vec<f64>,
-    target: Vec<f64>,
-}
-
-impl Pins {
-    /// `weight` is that of one datum.
-    fn new(bins: &[Bin], weight: f64) -> Self {
-        let of = |b: &Bin| if b.count > 0 { weight * f64::from(b.count) } else { 0.0 };
-        Self { weight: bins.iter().map(of).collect(), target: vec![0.0; bins.len()] }
-    }
-
-    /// Brings the targets up to date: the mean of the data, moved to the node along the surface. Data of infinite weight are taken over.
-    fn set(&mut self, surface: &mut [f64], bins: &[Bin], columns: usize, rows: usize) {
-        let slope = |low: f64, high: f64, cells: usize| if cells > 0 { (high - low) / cells as f64 } else { 0.0 };
-        for (i, bin) in bins.iter().enumerate().filter(|(_, bin)| bin.count > 0) {
-            let (r, c) = (i / columns, i % columns);
-            let (c0, c1) = (c.saturating_sub(1), (c + 1).min(columns - 1));
-            let (r0, r1) = (r.saturating_sub(1), (r + 1).min(rows - 1));
-            let gx = slope(surface[r * columns + c0], surface[r * columns + c1], c1 - c0);
-            let gy = slope(surface[r0 * columns + c], surface[r1 * columns + c], r1 - r0);
-            self.target[i] = bin.value - bin.away[0] * gx - bin.away[1] * gy;
-        }
-        for ((value, weight), target) in surface.iter_mut().zip(&self.weight).zip(&self.target) {
-            if weight.is_infinite() {
-                *value = *target;
-            }
-        }
-    }
-}
-
-fn relax(surface: &mut [f64], pins: &Pins, columns: usize, rows: usize, aspect: f64) {
-    let (ax, ay) = (1.0 / (aspect * aspect), 1.0);
-    let across = 4.0 * ax * ax + 4.0 * ax * ay;
-    let along = 4.0 * ay * ay + 4.0 * ax * ay;
-    let centre = 6.0 * ax * ax + 6.0 * ay * ay + 8.0 * ax * ay;
-    for r in 0..rows {
-        let inner_row = r >= 2 && r + 2 < rows;
-        for c in 0..columns {
-            let i = r * columns + c;
-            let held = pins.weight[i];
-            if held.is_infinite() {
-                continue;
-            }
-            let free = if inner_row && c >= 2 && c + 2 < columns {
-                let (up, down) = (i + columns, i - columns);
-                (across * (surface[i - 1] + surface[i + 1]) + along * (surface[down] + surface[up])
-                    - 2.0 * ax * ay * (surface[down - 1] + surface[down + 1] + surface[up - 1] + surface[up + 1])
-                    - ax * ax * (surface[i - 2] + surface[i + 2])
-                    - ay * ay * (surface[down - columns] + surface[up + columns]))
-                    / centre
-            } else {
-                // The border is soft: harmonic, from the neighbours that there are.
-                let (mut sum, mut weight) = (0.0, 0.0);
-                let mut add = |v: f64, w: f64| {
-                    sum += w * v;
-                    weight += w;
-                };
-                if c > 0 {
-                    add(surface[i - 1], ax);
-                }
-                if c + 1 < columns {
-                    add(surface[i + 1], ax);
-                }
-                if r > 0 {
-                    add(surface[i - columns], ay);
-                }
-                if r + 1 < rows {
-                    add(surface[i + columns], ay);
-                }
-                if weight > 0.0 { sum / weight } else { surface[i] }
-            };
-            let value = if held > 0.0 { (centre * free + held * pins.target[i]) / (centre + held) } else { free };
-            surface[i] += RELAXATION * (value - surface[i]);
-        }
-    }
-}
-
-/// Distance in metres from every node to the nearest datum, to within half a cell.
-///
-/// `cell_m` is the cell's size `[east, north]`. The exact Euclidean transform of the occupied nodes (Felzenszwalb and
-/// Huttenlocher, Distance transforms of sampled functions, Theory of Computing 8 (2012) 415).
-///
-/// # Errors
-/// [`Error::Shape`], [`Error::NotFinite`], [`Error::TooFewSamples`] where no point lies on the grid.
-pub fn distance_to_data(x: &[f64], y: &[f64], x_axis: &Axis, y_axis: &Axis, cell_m: [f64; 2]) -> Result<Vec<f64>> {
-    check(x, y, x)?;
-    let (columns, rows) = (x_axis.len(), y_axis.len());
-    let mut square = vec![f64::INFINITY; columns * rows];
-    let mut used = 0;
-    for (x, y) in x.iter().zip(y) {
-        let (c, r) = (x_axis.position(*x).round(), y_axis.position(*y).round());
-        if c >= 0.0 && r >= 0.0 && c < columns as f64 && r < rows as f64 {
-            square[r as usize * columns + c as usize] = 0.0;
-            used += 1;
-        }
-    }
-    if used == 0 {
-        return Err(Error::TooFewSamples { what: "survey points on the grid".into(), needed: 1, got: 0 });
-    }
-    let mut line = vec![0.0; columns.max(rows)];
-    for c in 0..columns {
-        for r in 0..rows {
-            line[r] = square[r * columns + c];
-        }
-        for (r, v) in envelope(&line[..rows], cell_m[1]).into_iter().enumerate() {
-            square[r * columns + c] = v;
-        }
-    }
-    for row in square.chunks_exact_mut(columns) {
-        row.copy_from_slice(&envelope(row, cell_m[0]));
-    }
-    Ok(square.into_iter().map(f64::sqrt).collect())
-}
-
-/// Lower envelope of the parabolas f(q) + (step (p - q))^2.
-fn envelope(f: &[f64], step: f64) -> Vec<f64> {
-    let sites: Vec<usize> = (0..f.len()).filter(|&q| f[q].is_finite()).collect();
-    if sites.is_empty() {
-        return f.to_vec();
-    }
-    let s2 = step * step;
-    let (mut hull, mut from): (Vec<usize>, Vec<f64>) = (Vec::new(), Vec::new());
-    for &q in &sites {
-        let mut start = f64::NEG_INFINITY;
-        while let (Some(&last), Some(&begin)) = (hull.last(), from.last()) {
-            let (a, b) = (q as f64, last as f64);
-            start = ((f[q] - f[last]) / s2 + a * a - b * b) / (2.0 * (a - b));
-            if start > begin {
-                break;
-            }
-            hull.pop();
-            from.pop();
-            start = f64::NEG_INFINITY;
-        }
-        hull.push(q);
-        from.push(start);
-    }
-    let mut out = Vec::with_capacity(f.len());
-    let mut k = 0;
-    for p in 0..f.len() {
-        while k + 1 < hull.len() && from[k + 1] < p as f64 {
-            k += 1;
-        }
-        let d = p as f64 - hull[k] as f64;
-        out.push(f[hull[k]] + s2 * d * d);
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -322,7 +197,7 @@ mod tests {
             y.push(b);
             v.push(3.0 + 0.5 * a - 0.25 * b);
         }
-        let surface = minimum_curvature([&x, &y, &v], &axis, &axis, 1.0, f64::INFINITY, 400, &Quiet).unwrap();
+        let surface = minimum_curvature([&x, &y, &v], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 400, &Quiet).unwrap();
         // The border is harmonic where data are wanting, which a sloping plane is not; the further in the nearer.
         let mut worst = [0.0_f64; 2];
         for r in 3..18 {
@@ -341,9 +216,9 @@ mod tests {
         let axis = Axis::new(0.0, 1.0, 17).unwrap();
         let (x, y, v) = ([8.0, 8.0, 0.0, 16.0], [4.0, 12.0, 8.0, 8.0], [0.0, 0.0, 1.0, 1.0]);
         let at =
-            |aspect: f64| minimum_curvature([&x, &y, &v], &axis, &axis, aspect, f64::INFINITY, 4000, &Quiet).unwrap();
+            |aspect: f64| minimum_curvature([&x, &y, &v], &axis, &axis, aspect, f64::INFINITY, f64::INFINITY, 4000, &Quiet).unwrap();
         let turned =
-            |aspect: f64| minimum_curvature([&y, &x, &v], &axis, &axis, aspect, f64::INFINITY, 4000, &Quiet).unwrap();
+            |aspect: f64| minimum_curvature([&y, &x, &v], &axis, &axis, aspect, f64::INFINITY, f64::INFINITY, 4000, &Quiet).unwrap();
         let (wide, tall) = (at(2.0), turned(0.5));
         let mut worst = 0.0_f64;
         for r in 0..17 {
@@ -376,7 +251,7 @@ mod tests {
     #[test]
     fn points_off_the_grid_are_refused() {
         let axis = Axis::new(0.0, 1.0, 5).unwrap();
-        assert!(minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, f64::INFINITY, 10, &Quiet).is_err());
+        assert!(minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 10, &Quiet).is_err());
         assert!(distance_to_data(&[90.0], &[90.0], &axis, &axis, [1.0, 1.0]).is_err());
     }
 }

@@ -1,0 +1,303 @@
+"""Windows left out matched with one error model after another: which correlation length, which share of sigma, how risks are to be read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
+from geomag.survey._fit import recalibrated
+from geomag.survey._folds import Fold
+from geomag.survey._lines import Array
+from geomag.survey._model import LEARNT_SPREAD, NU, REGISTRATION, Law, sigma_of
+from geomag.survey._steps import Steps
+from geomag.survey._survey import windows_of
+
+#: Windows that are learnt from, where the lines give them; overlaps of neighbours and starts of one window that make up for lines that do not.
+MOST_WINDOWS = 800
+MOST_OVERLAP = 0.75
+MOST_STARTS = 3
+#: Risks are counted as at least this: so many windows tell nothing of lesser ones.
+LEAST_RISK = 0.002
+#: Correlation lengths (in distances to the data): the first that is tried, the factor from one to the next, and how far they go.
+FIRST_CORRELATION = 1.25
+CORRELATION_STEP = 1.25
+CORRELATION_RANGE = (0.2, 20.0)
+#: Shares of the single-sample sigma that are tried. One sample's law has the worst tracks in it, which the spread of the level stands for
+#: already: most tracks need less.
+SHARES = (0.35, 0.5, 0.7, 1.0)
+FIRST_SHARE = 0.5
+#: What is believed of the two before a survey is seen: centre and standard deviation of the logarithm. A survey of a
+#: few hundred windows moves them.
+CORRELATION_PRIOR = (1.1, 0.55)
+SHARE_PRIOR = (0.5, 0.35)
+#: Statuses whose risk is no statement on the answer: the truth may lie elsewhere altogether.
+NO_STATEMENT = ("at_edge", "lost", "rejected")
+#: Levels of error that flights are simulated with for the forecast, and the most windows that it is learnt from.
+FORECAST_LEVELS = (1.0, 1.7, 2.9)
+FORECAST_WINDOWS = 200
+#: Risk at which the forecast counts a fix.
+FORECAST_RISK = 0.01
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How windows are flown: distance between samples, bound of the start error, tolerance, samples."""
+
+    spacing_m: float
+    half_width_m: float
+    tolerance_m: float
+    samples: int
+
+    @staticmethod
+    def of(
+        line_spacing_m: float,
+        spacing_m: float | None,
+        half_width_m: float | None,
+        tolerance_m: float | None,
+        samples: int,
+    ) -> Settings:
+        """As told; what is not told in proportion to the line spacing."""
+        return Settings(
+            0.6 * line_spacing_m if spacing_m is None else spacing_m,
+            4 * line_spacing_m if half_width_m is None else half_width_m,
+            0.5 * line_spacing_m if tolerance_m is None else tolerance_m,
+            samples,
+        )
+
+
+@dataclass(frozen=True)
+class Point:
+    """An error model that is tried: place of its correlation length on the ladder, share of sigma."""
+
+    step: int = 0
+    share: float = FIRST_SHARE
+
+    @property
+    def correlation(self) -> float:
+        """Correlation length, in distances to the data."""
+        return correlation_at(self.step)
+
+    def unlikely(self) -> float:
+        """Minus the logarithm of its prior."""
+        told = (
+            (self.correlation, CORRELATION_PRIOR),
+            (self.share, SHARE_PRIOR),
+        )
+        return float(sum(0.5 * (np.log(value / centre) / spread) ** 2 for value, (centre, spread) in told))
+
+    def neighbour(self, name: str, way: int) -> Point | None:
+        """The next one along a coordinate, None at its end."""
+        if name == "step":
+            there = replace(self, step=self.step + way)
+            return there if CORRELATION_RANGE[0] <= there.correlation <= CORRELATION_RANGE[1] else None
+        place = SHARES.index(self.share) + way
+        return replace(self, share=SHARES[place]) if 0 <= place < len(SHARES) else None
+
+
+@dataclass
+class Outcome:
+    """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything."""
+
+    risk: Array
+    error_m: Array
+    wrong: npt.NDArray[np.bool_]
+    stated: npt.NDArray[np.bool_]
+    total: float = 0.0
+
+    @property
+    def loss(self) -> float:
+        """Mean log loss of the risks."""
+        risk = np.clip(self.risk, LEAST_RISK, 1 - LEAST_RISK)
+        return float(np.mean(-np.log(np.where(self.wrong, risk, 1 - risk))))
+
+
+def flown(parts: list[Fold], settings: Settings, rng: np.random.Generator) -> float:
+    """Give every fold the windows to learn from; returns which share of them has nothing in common with another."""
+    apart = [part.covered(windows_of(part.left, settings.spacing_m, settings.samples)) for part in parts]
+    alone = sum(map(len, apart))
+    if 0 < alone < MOST_WINDOWS:
+        overlap = min(MOST_OVERLAP, 1 - alone / MOST_WINDOWS)
+        apart = [part.covered(windows_of(part.left, settings.spacing_m, settings.samples, overlap)) for part in parts]
+    count = sum(map(len, apart))
+    starts = 1 if count == 0 else min(MOST_STARTS, max(1, round(MOST_WINDOWS / count)))
+    share = min(1.0, MOST_WINDOWS / max(count, 1))
+    for part, windows in zip(parts, apart, strict=True):
+        limit = int(np.ceil(share * len(windows)))
+        kept = [windows[i] for i in np.sort(rng.choice(len(windows), limit, replace=False))] if windows else []
+        part.windows = kept * starts
+    return min(1.0, alone / max(sum(len(part.windows) for part in parts), 1))
+
+
+@dataclass
+class Trials:
+    """The windows of all folds with their start errors, matched with one error model after another."""
+
+    parts: list[Fold]
+    law: Law
+    abc: tuple[float, float, float]
+    settings: Settings
+    independent: float
+    rng: np.random.Generator
+    steps: Steps
+    seen: dict[Point, Outcome] = field(default_factory=dict)
+    _maps: dict[float, list[tuple[GridMap, Array]]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Draw the start errors."""
+        axes = self.parts[0].axes
+        self._scale = (axes.cell_m[0] / axes.x[1], axes.cell_m[1] / axes.y[1])
+        self._half = (self.settings.half_width_m / self._scale[0], self.settings.half_width_m / self._scale[1])
+        self._offsets = [self.rng.uniform(-1, 1, (len(part.windows), 2)) * self._half for part in self.parts]
+        self._tracks = [
+            [Track(x - o[0], y - o[1], v) for (x, y, v), o in zip(part.windows, offsets, strict=True)]
+            for part, offsets in zip(self.parts, self._offsets, strict=True)
+        ]
+
+    def maps(self, share: float) -> list[tuple[GridMap, Array]]:
+        """The maps of all folds with their sigma at a share of that of single samples, and the distances to the data."""
+        if share not in self._maps:
+            a, b, c = (share * v for v in self.abc)
+            self._maps[share] = [
+                layered(
+                    part.base,
+                    np.asarray(part.base.values, dtype=float),
+                    sigma_of(*part.features, part.distance, self.law, a, b, c),
+                    part.distance,
+                )
+                for part in self.parts
+            ]
+        return self._maps[share]
+
+    def at(self, point: Point) -> Outcome:
+        """What comes of the windows with an error model."""
+        if point in self.seen:
+            return self.seen[point]
+        risk, error, stated = [], [], []
+        for (grid, distance), some, offsets in zip(self.maps(point.share), self._tracks, self._offsets, strict=True):
+            if not some:
+                continue
+            model = grid.with_error_model(
+                nu=NU,
+                scale_spread=LEARNT_SPREAD,
+                correlation=point.correlation,
+                registration=REGISTRATION,
+                distance_m=distance,
+            )
+            fixes = match_posterior_many(model, some, half_width=self._half, tolerance_m=self.settings.tolerance_m)
+            for fix, offset in zip(fixes, offsets, strict=True):
+                known = fix.risk is not None
+                risk.append(fix.risk if known else np.nan)
+                error.append(float(np.hypot(*((np.array(fix.offset) - offset) * self._scale))) if known else np.inf)
+                stated.append(known and fix.status not in NO_STATEMENT)
+        away = np.array(error)
+        known = np.isfinite(np.array(risk))
+        outcome = Outcome(
+            np.array(risk)[known], away[known], away[known] > self.settings.tolerance_m, np.array(stated)[known]
+        )
+        outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely()
+        self.seen[point] = outcome
+        self.steps.add(1.0)
+        return outcome
+
+    def search(self) -> tuple[Point, float]:
+        """The error model of the least loss of those that were tried, and the correlation length of the least loss about it."""
+        best = Point()
+        while True:
+            before = best
+            for name in ("step", "share"):
+                best = self._descend(best, name)
+            if best == before:
+                return best, self._between(best)
+
+    def _descend(self, point: Point, name: str) -> Point:
+        """Along one coordinate as long as the loss falls."""
+        for way in (1, -1):
+            moved = False
+            there = point.neighbour(name, way)
+            while there is not None and self.at(there).total < self.at(point).total:
+                point, moved = there, True
+                there = point.neighbour(name, way)
+            if moved:
+                break
+        return point
+
+    def _between(self, best: Point) -> float:
+        """The lowest point of the parabola through the best correlation length and its neighbours."""
+        around = [self.seen.get(replace(best, step=best.step + k)) for k in (-1, 0, 1)]
+        if any(one is None for one in around):
+            return best.correlation
+        low, middle, high = (one.total for one in around if one is not None)
+        bend = low - 2 * middle + high
+        shift = 0.0 if bend <= 0 else float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
+        return correlation_at(best.step + shift)
+
+    def forecast(self, point: Point, correlation: float, line: tuple[float, float]) -> tuple[float, float] | None:
+        """Factors on simulated errors and on the standard deviation foretold that agree with what came of the windows."""
+        best = self.at(point)
+        declared = recalibrated(best.risk, line)
+        fixed = best.stated & (declared <= FORECAST_RISK)
+        if fixed.sum() < 20:
+            return None
+        observed, rms = float(fixed.mean()), float(np.sqrt(np.mean(best.error_m[fixed] ** 2)))
+        total = sum(len(part.windows) for part in self.parts)
+        keep = min(1.0, FORECAST_WINDOWS / total)
+        shares, variance = [], np.nan
+        for level in FORECAST_LEVELS:
+            found = []
+            for k, ((grid, distance), part) in enumerate(zip(self.maps(point.share), self.parts, strict=True)):
+                some = part.windows[:: max(1, round(1 / keep))]
+                if not some:
+                    continue
+                model = grid.with_error_model(
+                    nu=NU,
+                    scale_spread=LEARNT_SPREAD,
+                    correlation=correlation,
+                    registration=REGISTRATION,
+                    distance_m=distance,
+                    recalibration=line,
+                    forecast=(level, 1.0),
+                )
+                tracks = [Track(x, y, v) for x, y, v in some]
+                found += predict_many(
+                    model,
+                    tracks,
+                    half_width=self._half,
+                    tolerance_m=self.settings.tolerance_m,
+                    max_risk=FORECAST_RISK,
+                    flights=1,
+                    seed=k,
+                )
+            known = [one for one in found if one is not None]
+            shares.append(float(np.mean([one.fix_probability for one in known])))
+            variance = float(np.mean([np.trace(one.covariance_m2) for one in known]))
+            self.steps.add(1.0)
+            if shares[-1] <= observed:
+                break
+        logs = np.log(FORECAST_LEVELS[: len(shares)])
+        order = np.argsort(shares)
+        level = float(np.exp(np.interp(observed, np.array(shares)[order], logs[order])))
+        return level, rms / float(np.sqrt(variance))
+
+
+def correlation_at(step: float) -> float:
+    """Correlation length of a place on the ladder."""
+    return float(FIRST_CORRELATION * CORRELATION_STEP**step)
+
+
+def layered(grid: GridMap, values: Array, sigma: Array, distance: Array) -> tuple[GridMap, Array]:
+    """`grid` with other values and their sigma, and the distances; a node without any of them becomes a hole."""
+    known = np.isfinite(values) & np.isfinite(sigma)
+    out = GridMap(
+        np.where(known, values, np.nan),
+        grid.x,
+        grid.y,
+        geographic=grid.geographic,
+        sigma=np.where(known, sigma, np.nan),
+        name=grid.name,
+        units=grid.units,
+        crs=grid.crs,
+    )
+    return out, np.where(known, distance, np.nan)

@@ -1,0 +1,121 @@
+"""The declared risk: a line in log-odds learnt with the map, applied wherever a risk is declared, and the two rules of declaration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import geomag
+from geomag.calibration import Calibration
+from geomag.survey import ErrorModel, limit_of_mean
+from geomag.survey._fit import fit_recalibration, recalibrated
+from geomag.survey._steps import Steps
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A map with an error model, and tracks of which some are fixed and some are not."""
+    axis = np.arange(0.0, 8000.0, 100.0)
+    x, y = np.meshgrid(axis, axis)
+    values = 60 * np.sin(x / 500) * np.cos(y / 600) + 30 * np.sin(x / 911 + y / 733)
+    grid = geomag.GridMap(values, axis, axis, sigma=3.0)
+    rng = np.random.default_rng(3)
+    tracks = []
+    for k in range(12):
+        px, py = 1500 + 120 * np.arange(8 + 3 * k), 1500 + 90.0 * k + 60 * np.arange(8 + 3 * k)
+        tracks.append(geomag.Track(px - 150, py + 90, grid.sample(px, py) + rng.normal(0, 2, px.size)))
+    base = {"nu": 3.0, "scale_spread": 0.35, "correlation": 1.0, "registration": 0.05, "distance_m": 100.0}
+    return grid, tracks, base
+
+
+def test_the_declared_risk_is_the_line_of_the_computed_one(scene):
+    grid, tracks, base = scene
+    options = {"half_width": 1000.0, "sigma": 1.0, "tolerance_m": 150.0}
+    plain = grid.with_error_model(**base)
+    line = (0.7, 0.4)
+    read = grid.with_error_model(**base, recalibration=line, forecast=(1.5, 1.2))
+    assert read.error_model["recalibration"] == line
+    assert read.error_model["forecast"] == (1.5, 1.2)
+    again = grid.with_error_model(**read.error_model)
+    assert again.error_model == read.error_model
+    for streaming in (False, True):
+        before = geomag.match_posterior_many(plain, tracks, streaming=streaming, max_risk=1e-12, **options)
+        after = geomag.match_posterior_many(again, tracks, streaming=streaming, max_risk=1e-12, **options)
+        computed = np.array([f.risk for f in before])
+        assert np.ptp(computed) > 0.01
+        np.testing.assert_allclose([f.risk for f in after], recalibrated(computed, line), rtol=1e-9)
+    # What is declared follows: the limit is one of the declared risk.
+    fixed = geomag.match_posterior_many(read, tracks, max_risk=0.1, **options)
+    assert all(f.risk <= 0.1 for f in fixed if f.ok)
+    assert any(f.ok for f in fixed)
+    # With two maps the more careful line holds.
+    both = [
+        geomag.match_posterior(m, tracks[5], more=[(plain, tracks[5].values, 1.0)], **options).risk
+        for m in (plain, read)
+    ]
+    assert both[1] == pytest.approx(recalibrated(np.array([both[0]]), line)[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("line", [(0.0, 0.0), (-1.0, 0.0), (np.nan, 0.0), (1.0, np.inf)])
+def test_a_line_that_is_none_is_refused(scene, line):
+    grid, _, base = scene
+    with pytest.raises(geomag.InvalidInputError, match="recalibration"):
+        grid.with_error_model(**base, recalibration=line)
+
+
+def test_the_forecast_widens_what_is_foretold(scene):
+    grid, tracks, base = scene
+    options = {"half_width": 1000.0, "sigma": 1.0, "tolerance_m": 150.0, "flights": 8}
+    plain, wide = (
+        geomag.predict_many(grid.with_error_model(**base, forecast=f), tracks, **options)
+        for f in ((1.0, 1.0), (3.0, 2.0))
+    )
+    for a, b in zip(plain, wide, strict=True):
+        np.testing.assert_allclose(b.covariance_m2, 4 * np.asarray(a.covariance_m2), rtol=1e-9)
+        np.testing.assert_allclose(b.bound_m2, a.bound_m2)
+    assert np.mean([b.fix_probability for b in wide]) < np.mean([a.fix_probability for a in plain])
+
+
+def test_the_line_is_found_where_answers_are_many_and_shrunk_where_they_are_few():
+    rng = np.random.default_rng(5)
+    risk = 1 / (1 + np.exp(rng.normal(2.5, 2.0, 40_000)))
+    true = (0.6, 0.3)
+    wrong = rng.random(risk.size) < recalibrated(risk, true)
+    many = fit_recalibration(risk, wrong, 1.0, 0.002)
+    assert many == pytest.approx(true, abs=0.06)
+    few = fit_recalibration(risk[:10], wrong[:10], 1.0, 0.002)
+    assert few[0] == pytest.approx(0.8, abs=0.15)
+    # Windows that overlap weigh as those that would not.
+    thinned = fit_recalibration(np.repeat(risk[:300], 4), np.repeat(wrong[:300], 4), 0.25, 0.002)
+    assert thinned == pytest.approx(fit_recalibration(risk[:300], wrong[:300], 1.0, 0.002), abs=1e-6)
+
+
+def test_both_rules_of_declaration():
+    risk = np.array([0.001, 0.004, 0.015, 0.02, 0.3, 0.0005])
+    status = np.array(["fixed", "fixed", "searching", "searching", "ambiguous", "lost"])
+    error = np.array([10.0, 300.0, 10.0, 10.0, 400.0, 10.0])
+    answers = Calibration("made up", 200.0, 0.01, risk, error, status == "fixed", status, np.ones(6), np.full(6, 40))
+    rows = {(r["mean_rule"], r["limit"]): r for r in answers.shares((0.01, 0.05))}
+    assert rows[0.0, 0.01]["fixed"] == pytest.approx(2 / 6)
+    assert rows[0.0, 0.01]["wrong"] == 1
+    # 0.001, 0.004, 0.015 and 0.02 have the mean 0.01.
+    assert rows[1.0, 0.01]["fixed"] == pytest.approx(4 / 6)
+    assert rows[1.0, 0.01]["max_risk"] == 0.02
+    assert rows[0.0, 0.05]["fixed"] == pytest.approx(4 / 6)
+    assert answers.log_loss() == pytest.approx(
+        -np.mean(np.log([1 - 0.001, 0.004, 1 - 0.015, 1 - 0.02, 0.3])), rel=1e-12
+    )
+    assert "mean risk within it" in answers.to_markdown()
+    assert limit_of_mean([0.5], 0.01) == 0.0
+    model = ErrorModel(0.01, 0.1, 0.1, 0.1, 1.0, 0.05, 300.0, 60, 0.1, risks=[0.001, 0.019, 0.5])
+    assert model.limit_of_mean(0.01) == 0.019
+
+
+def test_progress_is_told_from_the_first_moment_on():
+    told = []
+    steps = Steps(lambda done, total: told.append((done, total)), 4.0)
+    assert told == [(0, 400)]
+    steps.within(1.0)(1, 2)
+    steps.add(1.0)
+    steps.add(9.0)
+    assert told[1:] == [(50, 400), (100, 400), (400, 400)]
