@@ -18,6 +18,8 @@ _Status: TypeAlias = Literal[
     "fixed", "searching", "ambiguous", "at_edge", "lost", "uninformative", "not_converged", "rejected"
 ]
 
+_Field: TypeAlias = GridMap | HarmonicMap | MapStack
+
 @final
 class GridMap:
     def __new__(
@@ -70,6 +72,7 @@ class GridMap:
         registration_length: float | None = None,
         recalibration: tuple[float, float] | None = None,
         forecast: tuple[float, float] | None = None,
+        layout: Literal["given", "values"] = "given",
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -108,6 +111,7 @@ class GridMap:
         model: dict[str, Any] | None,
         height_m: ArrayLike | None = None,
         ground_scale: ArrayLike | None = None,
+        turned: tuple[bool, bool] = ...,
     ) -> GridMap: ...
 
 @final
@@ -237,7 +241,7 @@ class IemaStep:
 class Iema:
     def __new__(
         cls,
-        grid: GridMap | MapStack,
+        grid: _Field,
         sigma: float,
         half_width: _Pair,
         tolerance: _Pair | None = None,
@@ -263,10 +267,10 @@ class Iema:
     def n_feasible(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
-    def _restore(grid: GridMap, bytes: bytes) -> Iema: ...
+    def _restore(grid: _Field, bytes: bytes) -> Iema: ...
 
 def match_grid(
-    grid: GridMap | MapStack,
+    grid: _Field,
     track: Track,
     criterion: str = "msd",
     *,
@@ -462,6 +466,7 @@ class SlidingContour:
         max_candidates: int = 1000000,
     ) -> SlidingContour: ...
     def update(self, x: float, y: float, value: float) -> Fix: ...
+    def reset(self) -> None: ...
     def run(self, track: Track) -> list[Fix]: ...
     @property
     def settled(self) -> dict[str, Any] | None: ...
@@ -478,6 +483,7 @@ def _delta_modulation(values: ArrayLike, quantum: float) -> tuple[NDArray[np.int
 @final
 class DeltaModulator:
     def __new__(cls, quantum: float) -> DeltaModulator: ...
+    def reset(self) -> None: ...
     def update(self, value: float) -> bool: ...
     @property
     def quantum(self) -> float: ...
@@ -1129,7 +1135,7 @@ class FieldNavigator:
 # Calibrated matching.
 
 def match_posterior(
-    grid: GridMap | MapStack,
+    grid: _Field,
     track: Track,
     *,
     half_width: _Pair,
@@ -1147,10 +1153,10 @@ def match_posterior(
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
     surface: bool = False,
-    more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
+    more: Sequence[tuple[_Field, ArrayLike, float | None]] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
-    grid: GridMap | MapStack,
+    grid: _Field,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1171,7 +1177,7 @@ def match_posterior_many(
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
-    grid: GridMap | MapStack,
+    grid: _Field,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1205,7 +1211,7 @@ class PosteriorStep:
 class PosteriorMatcher:
     def __new__(
         cls,
-        grid: GridMap | MapStack,
+        grid: _Field,
         *,
         half_width: _Pair,
         sigma: float | None = None,
@@ -1233,7 +1239,7 @@ class PosteriorMatcher:
     def n_feasible(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
-    def _restore(grid: GridMap, state: bytes) -> PosteriorMatcher: ...
+    def _restore(grid: _Field, state: bytes) -> PosteriorMatcher: ...
 
 @final
 class Prediction:

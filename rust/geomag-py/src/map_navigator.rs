@@ -1,6 +1,6 @@
 //! `InsModel`, `Navigator` and whole flights.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
@@ -14,7 +14,7 @@ use pyo3::types::{PyBytes, PyDict, PyTuple};
 use crate::arrays::{matrix, pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::grid::field;
-use crate::lock::attached;
+use crate::lock::Shared;
 use crate::long_call;
 
 /// The grade of an INS: how large its errors are, and how they grow.
@@ -425,7 +425,7 @@ pub struct PyNavigator {
     field: Arc<dyn Field>,
     /// What was passed as the map, for pickling.
     map: Py<PyAny>,
-    inner: Mutex<Navigator>,
+    inner: Shared<Navigator>,
 }
 
 #[pymethods]
@@ -435,7 +435,7 @@ impl PyNavigator {
     fn new(grid: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyRes<Self> {
         let options = self::options(options)?;
         let field = field(grid)?;
-        let inner = Mutex::new(Navigator::new(field.clone(), options)?);
+        let inner = Shared::new(Navigator::new(field.clone(), options)?);
         Ok(Self { field, map: grid.clone().unbind(), inner })
     }
 
@@ -457,25 +457,25 @@ impl PyNavigator {
     ) -> PyRes<PyNavigationStep> {
         let velocity_m_s = velocity_m_s.map(|v| pair("velocity_m_s", v)).transpose()?;
         let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, value };
-        Ok(PyNavigationStep { inner: attached(py, &self.inner).step(&indicated)? })
+        Ok(PyNavigationStep { inner: self.inner.with(py, |n| n.step(&indicated))? })
     }
 
     /// `acquiring`, `tracking`, `coasting` or `lost`.
     #[getter]
     fn status(&self, py: Python<'_>) -> &'static str {
-        attached(py, &self.inner).status().as_str()
+        self.inner.with(py, |n| n.status().as_str())
     }
 
     /// Which INS output there was: `full`, `velocity` (no heading: the course) or `positions` (a reduced model).
     #[getter]
     fn inputs(&self, py: Python<'_>) -> &'static str {
-        attached(py, &self.inner).inputs().as_str()
+        self.inner.with(py, |n| n.inputs().as_str())
     }
 
     /// Steps taken.
     #[getter]
     fn steps(&self, py: Python<'_>) -> u64 {
-        attached(py, &self.inner).steps()
+        self.inner.with(py, |n| n.steps())
     }
 
     /// Estimated errors, indicated minus true.
@@ -484,7 +484,7 @@ impl PyNavigator {
     /// accelerometer biases forward and right (m/s2), sensor bias (map's unit), displacement of the map's features east and north (m).
     #[getter]
     fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = attached(py, &self.inner).mean().to_vec();
+        let mean = self.inner.with(py, |n| n.mean().to_vec());
         let n = mean.len();
         shaped(py, mean, &[n])
     }
@@ -492,18 +492,17 @@ impl PyNavigator {
     /// Covariance of these errors, the filter's own.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let (n, values) = {
-            let inner = attached(py, &self.inner);
-            let n = inner.mean().len();
-            (n, (0..n * n).map(|k| inner.covariance(k / n, k % n)).collect())
-        };
+        let (n, values) = self.inner.with(py, |navigator| {
+            let n = navigator.mean().len();
+            (n, (0..n * n).map(|k| navigator.covariance(k / n, k % n)).collect())
+        });
         shaped(py, values, &[n, n])
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
         let this = slf.get();
-        let bytes = attached(py, &this.inner).save()?;
+        let bytes = this.inner.with(py, |n| n.save())?;
         let arguments = (this.map.clone_ref(py), PyBytes::new(py, &bytes)).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
@@ -511,14 +510,14 @@ impl PyNavigator {
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
         let field = field(grid)?;
-        let inner = Mutex::new(Navigator::restore(field.clone(), bytes)?);
+        let inner = Shared::new(Navigator::restore(field.clone(), bytes)?);
         Ok(Self { field, map: grid.clone().unbind(), inner })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let inner = attached(py, &self.inner);
+        let (status, steps) = self.inner.with(py, |n| (n.status().as_str(), n.steps()));
         let unit = if self.field.geographic() { "degrees" } else { "metres" };
-        format!("Navigator({}, {} steps, map in {unit})", inner.status().as_str(), inner.steps())
+        format!("Navigator({status}, {steps} steps, map in {unit})")
     }
 }
 

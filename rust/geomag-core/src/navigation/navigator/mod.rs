@@ -40,6 +40,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::field::Field;
+use crate::state::Saved;
 use batch::{Batch, Chosen};
 use filter::{Filter, Scratch};
 use integrity::{Radius, RunningNis, widening};
@@ -130,6 +131,22 @@ pub struct Navigator {
     state: State,
 }
 
+impl Saved for State {
+    const NAME: &'static str = "Navigator";
+
+    fn check(&self) -> Result<()> {
+        self.options.validate()?;
+        let newest_is_sound = self.newest.is_none_or(|n| {
+            [n.time_s, n.x, n.y, n.velocity_m_s[0], n.velocity_m_s[1], n.heading_rad].iter().all(|v| v.is_finite())
+        });
+        if self.filter.is_whole(STATES) && self.batch.is_whole() && self.running.is_sound() && newest_is_sound {
+            Ok(())
+        } else {
+            Err(Error::invalid("its numbers", "some that belong together", "others"))
+        }
+    }
+}
+
 impl Navigator {
     /// A navigator that has not been told anything yet.
     ///
@@ -190,7 +207,7 @@ impl Navigator {
     /// # Errors
     /// [`Error::State`].
     pub fn save(&self) -> Result<Vec<u8>> {
-        crate::state::save("Navigator", &self.state)
+        crate::state::save(&self.state)
     }
 
     /// A navigator that goes on where [`Navigator::save`] left off, bit for bit, on the same field.
@@ -198,18 +215,7 @@ impl Navigator {
     /// # Errors
     /// [`Error::State`] for bytes that are no navigator's.
     pub fn restore(field: Arc<dyn Field>, bytes: &[u8]) -> Result<Self> {
-        let state: State = crate::state::load("Navigator", bytes)?;
-        let refuse = |detail: String| Error::State { what: "Navigator".into(), detail };
-        state.options.validate().map_err(|e| refuse(e.to_string()))?;
-        let newest_is_sound = state.newest.is_none_or(|n| {
-            [n.time_s, n.x, n.y, n.velocity_m_s[0], n.velocity_m_s[1], n.heading_rad].iter().all(|v| v.is_finite())
-        });
-        let whole =
-            state.filter.is_whole(STATES) && state.batch.is_whole() && state.running.is_sound() && newest_is_sound;
-        if !whole {
-            return Err(refuse("its numbers do not belong together".into()));
-        }
-        Self::from_state(field, state)
+        Self::from_state(field, crate::state::load(bytes)?)
     }
 
     /// The field that is navigated on.

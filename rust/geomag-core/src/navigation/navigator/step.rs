@@ -7,6 +7,7 @@ use super::motion::{ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, POSITION, 
 use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
 use super::{BIAS, Navigator, Newest, REGISTRATION, STATES};
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
 
 /// Longest step over which the errors are carried on at once, seconds.
@@ -52,7 +53,7 @@ impl Navigator {
     fn check(&mut self, indicated: &Indicated) -> Result<Newest> {
         let Indicated { time_s, x, y, velocity_m_s, heading_deg, value } = *indicated;
         require_finite("time_s", &[time_s])?;
-        require_finite("x, y", &[x, y])?;
+        require_place("position", self.field.geographic(), [x, y])?;
         if let Some(value) = value.filter(|v| v.is_infinite()) {
             return Err(Error::NotFinite { what: "value".into(), index: 0, got: value });
         }
