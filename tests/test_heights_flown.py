@@ -102,4 +102,6 @@ def test_osborne_from_its_own_height_to_a_kilometre_above(data_file, capsys):
     for (first, last), (fixed, wrong, count) in rows.items():
         assert wrong <= 0.015 * fixed, (first, last)
         if max(first, last) <= 300:
-            assert fixed / count >= 0.8 * own, (first, last)
+            # Four fifths, but for what so many flights can tell.
+            error = np.sqrt(own * (1 - own) / count)
+            assert fixed / count >= 0.8 * own - error, (first, last)
