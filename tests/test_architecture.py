@@ -13,9 +13,9 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 
 #: Lowest floor first; modules of one group may use each other.
 FLOORS = [
-    {"error", "constants"},
-    {"monitor", "state", "statistics", "compensation"},
-    {"frame", "field", "grid", "map_error", "gridding", "information", "track", "fix"},
+    {"error", "constants", "bounds"},
+    {"monitor", "random", "state", "statistics", "compensation"},
+    {"frame", "field", "grid", "map_error", "gridding", "information", "stack", "track", "fix"},
     {"harmonic", "main_field", "kalman", "lattice"},
     {"matching"},
     {"navigation"},
@@ -50,6 +50,64 @@ def test_arrows_go_down(path):
     for used in set(re.findall(r"crate::(\w+)", text)):
         if used in LEVEL:
             assert LEVEL[used] <= LEVEL[own], f"{path.relative_to(ROOT)} uses {used}, which lies above {own}"
+
+
+#: Floors inside `matching`, lowest first.
+MATCHING = [
+    {"closest", "transform", "similarity", "stream", "sequence"},
+    {"scene"},
+    {"starts", "refine"},
+    {"contour", "grid_search", "iema", "posterior"},
+    {"sliding"},
+    {"tuning"},
+]
+
+
+def siblings(folder):
+    """Which modules of a folder use which: module -> those that it names, through `super`, its own path or `use`."""
+    inside = {path.stem: [path] for path in folder.glob("*.rs") if path.stem not in ("mod", "tests")}
+    for path in folder.glob("*/**/*.rs"):
+        inside.setdefault(path.relative_to(folder).parts[0], []).append(path)
+    inside = {name: paths for name, paths in inside.items() if not name.startswith("tests")}
+    path = "::".join(folder.relative_to(CORE).parts)
+    uses = {}
+    for name, files in inside.items():
+        uses[name] = set()
+        for file in files:
+            text = without_tests_and_comments(file.read_text(encoding="utf-8"))
+            found = re.findall(rf"crate::{path}::(\w+)", text)
+            depth = len(file.relative_to(folder).parts) - 1 + (0 if file.stem == "mod" else 1)
+            found += re.findall(
+                r"(?<!super::)" + "super::" * max(depth if file.parent != folder else 1, 1) + r"(\w+)", text
+            )
+            uses[name] |= {other for other in found if other in inside and other != name}
+    return uses
+
+
+@pytest.mark.parametrize(
+    "name", ["matching", "matching/grid_search", "matching/contour", "matching/refine", "kalman", "lattice", "grid"]
+)
+def test_no_circle_among_the_modules_of_a_folder(name):
+    uses = siblings(CORE / name)
+    assert any(uses.values()), "nothing was read"
+    left = dict(uses)
+    while left:
+        free = [module for module, others in left.items() if not others & set(left)]
+        assert free, f"a circle among {sorted(left)}: {left}"
+        for module in free:
+            del left[module]
+
+
+def test_arrows_go_down_inside_matching():
+    level = {name: k for k, floor in enumerate(MATCHING) for name in floor}
+    uses = siblings(CORE / "matching")
+    assert set(uses) == set(level), "name a new module in MATCHING and in docs/architecture.md"
+    for name, others in uses.items():
+        for other in others:
+            assert level[other] < level[name], f"matching/{name} uses {other}, which does not lie below it"
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    for floor in MATCHING:
+        assert any(all(re.search(rf"\b{module}\b", line) for module in floor) for line in page.splitlines()), floor
 
 
 def test_kalman_knows_no_field():

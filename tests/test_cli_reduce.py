@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 
 import numpy as np
 import pytest
@@ -61,6 +62,17 @@ def test_main_field_and_variation_in_one_command(tmp_path, capsys):
     assert list(written.columns) == [*log.columns, "anomaly_nt"]
     # 0.08 degrees further east the Sun is some twenty seconds earlier: 0.02 nT.
     np.testing.assert_allclose(written["anomaly_nt"], anomaly, atol=0.05)
+
+
+def test_json_says_what_was_taken_off(tmp_path, capsys):
+    raw_log(tmp_path / "raw.csv")
+    status, out, _ = call(
+        capsys, "reduce", tmp_path / "raw.csv", tmp_path / "out.csv", "--main-field", "igrf14", "--json"
+    )
+    told = json.loads(out)
+    assert status == 0
+    assert told["rows"] == 40
+    assert 40_000 < told["main_field_nt"][0] < told["main_field_nt"][1] < 60_000
 
 
 def test_dates_with_a_zone_are_heeded(tmp_path, capsys):

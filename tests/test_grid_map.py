@@ -224,3 +224,29 @@ def test_any_axes_are_taken_or_refused(x, y, seed, geographic):
             if abs(x[j]) * 1e-15 < spread:
                 got = grid.sample(x[j], y[i])
                 assert np.isnan(got) or got == pytest.approx(values[i, j], rel=0.2, abs=0.2)
+
+
+def test_every_layer_turns_with_the_axes():
+    rng = np.random.default_rng(2)
+    x, y = np.arange(0.0, 500.0, 50.0), np.arange(0.0, 300.0, 50.0)
+    values, sigma, distance = (rng.uniform(1.0, 2.0, (6, 10)) for _ in range(3))
+    distance = distance.astype(np.float32).astype(float)
+    law = {"nu": 4.0, "scale_spread": 0.2, "correlation": 1.0, "registration": 0.1}
+    up = geomag.GridMap(values, x, y, sigma=sigma).with_error_model(**law, distance_m=distance)
+    for rows, columns in ((-1, 1), (1, -1), (-1, -1)):
+        turn = np.s_[::rows, ::columns]
+        other = geomag.GridMap(values[turn], x[::columns], y[::rows], sigma=sigma[turn])
+        other = other.with_error_model(**law, distance_m=distance[turn])
+        for a, b in ((up.values, other.values), (up.sigma, other.sigma)):
+            np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(other.error_model["distance_m"], distance)
+        for again in (other.with_error_model(**other.error_model), pickle.loads(pickle.dumps(other))):
+            np.testing.assert_array_equal(again.error_model["distance_m"], distance)
+        np.testing.assert_array_equal(
+            pickle.loads(pickle.dumps(other))
+            .with_error_model(**law, distance_m=distance[turn])
+            .error_model["distance_m"],
+            distance,
+        )
+    with pytest.raises(geomag.InvalidInputError, match="'given' or 'values'"):
+        up.with_error_model(**law, distance_m=distance, layout="upside down")

@@ -453,3 +453,62 @@ def test_no_raised_limit_takes_memory_without_bound(half_width, limit):
         geomag.match_grid(grid, track, half_width=half_width, max_candidates=limit)
     with pytest.raises(geomag.CandidateLimitError, match="the limit is 2147483648"):
         geomag.Iema(grid, sigma=1.0, half_width=half_width, max_candidates=limit)
+
+
+def coarse_map(seed):
+    """A right map as coarse as its features: cells of 400 m, features of 1 km."""
+    rng = np.random.default_rng(seed)
+    x = 400.0 * np.arange(60)
+    return geomag.GridMap(rough(rng, 60, 60, smooth=1.6), x, x)
+
+
+def test_the_covariance_is_that_of_the_refined_minimum():
+    """On a coarse map a quadratic through scores a cell apart misses the minimum by far more than its covariance says."""
+    squares = []
+    for seed in range(60):
+        grid, rng = coarse_map(seed % 6), np.random.default_rng(1000 + seed)
+        k = np.arange(40.0)
+        x, y = 6000 + 220 * k, 7000 + 170 * k
+        offset = rng.uniform(-1200, 1200, 2)
+        track = geomag.Track(x - offset[0], y - offset[1], grid.sample(x, y) + rng.normal(0, 1.0, len(k)))
+        fix = geomag.match_grid(grid, track, half_width=2000.0, sigma=1.0)
+        if fix.ok:
+            error = np.array(fix.offset_m) - offset
+            squares.append(error @ np.linalg.solve(fix.covariance_m2, error))
+    assert len(squares) >= 40
+    # Chi-square with two degrees of freedom: 0.3 % beyond 11.8.
+    assert np.sum(np.array(squares) > 11.8) <= 2
+    assert 1.2 < np.mean(squares) < 3.0
+
+
+@pytest.mark.parametrize("pivot", ["newest", "centroid"])
+def test_whatever_turns_the_track_the_covariance_is_of_its_newest_point(pivot):
+    squares = []
+    x = np.arange(0.0, 9000.0, 50.0)
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        grid = geomag.GridMap(rough(rng, 180, 180, smooth=6.0), x, x)
+        k = np.arange(60.0)
+        px, py = 2500 + 60 * k, 3000 + 40 * k
+        turn, offset = np.radians(rng.uniform(-2.0, 2.0)), rng.uniform(-150, 150, 2)
+        # Indicated: turned back about the newest true point, and shifted.
+        dx, dy = px - px[-1], py - py[-1]
+        ix = px[-1] + dx * np.cos(turn) - dy * np.sin(turn) - offset[0]
+        iy = py[-1] + dx * np.sin(turn) + dy * np.cos(turn) - offset[1]
+        track = geomag.Track(ix, iy, grid.sample(px, py) + rng.normal(0, 2.0, len(k)))
+        fix = geomag.match_grid(
+            grid, track, half_width=300.0, sigma=2.0, heading_deg=np.linspace(-3, 3, 61), pivot=pivot
+        )
+        if fix.ok:
+            error = np.array([fix.x - px[-1], fix.y - py[-1]])
+            squares.append(error @ np.linalg.solve(fix.covariance_m2, error))
+    assert len(squares) >= 35
+    assert 1.2 < np.mean(squares) < 3.0
+
+
+def test_without_refinement_the_covariance_holds_the_step():
+    grid = coarse_map(1)
+    k = np.arange(40.0)
+    track = geomag.Track(6000 + 220 * k - 130, 7000 + 170 * k, grid.sample(6000 + 220 * k, 7000 + 170 * k))
+    fix = geomag.match_grid(grid, track, half_width=800.0, sigma=50.0, refine=False)
+    assert np.diag(fix.covariance_m2).min() > 400.0**2 / 12

@@ -120,7 +120,12 @@ def test_words_are_no_coordinates():
 
 def test_values_come_in_nanotesla_or_milligal():
     array = projected("m", "m")
-    for unit, ours, factor in (("uT", "nT", 1e3), ("gamma", "nT", 1.0), ("m/s2", "mGal", 1e5), ("counts", "counts", 1.0)):
+    for unit, ours, factor in (
+        ("uT", "nT", 1e3),
+        ("gamma", "nT", 1.0),
+        ("m/s2", "mGal", 1e5),
+        ("counts", "counts", 1.0),
+    ):
         array.attrs["units"] = unit
         grid = geomag.GridMap.from_xarray(array)
         assert (grid.units, grid.values.max()) == (ours, factor)

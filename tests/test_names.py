@@ -28,7 +28,8 @@ def test_a_name_says_what_a_column_is(name, turned):
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"), [("X_km", "km"), ("mag_nT", "nT"), ("Lat (deg)", "deg"), ("TimeUS", "US"), ("B [uT]", "uT"), ("alt_m", "m")]
+    ("name", "unit"),
+    [("X_km", "km"), ("mag_nT", "nT"), ("Lat (deg)", "deg"), ("TimeUS", "US"), ("B [uT]", "uT"), ("alt_m", "m")],
 )
 def test_a_name_carries_its_unit(name, unit):
     assert understand(0, name).unit == unit

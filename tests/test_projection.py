@@ -185,3 +185,54 @@ def test_scales_given_by_hand():
 def test_points_that_a_projection_does_not_reach():
     with pytest.raises(geomag.InvalidInputError, match=r"point \[1\]"):
         transform([9.0, np.inf], [45.0, 0.0], "EPSG:4326", "EPSG:32632")
+
+
+def test_suitability_is_in_metres_on_the_ground():
+    pytest.importorskip("xarray")
+    from geomag.blocks import position_bound
+
+    axis = 100.0 * np.arange(60)
+    field = rough(axis[None, :], axis[:, None])
+    ground = geomag.GridMap(field, axis, axis).to_xarray()
+    paper = geomag.GridMap(field, 2 * axis, 2 * axis).to_xarray()
+    options = {"samples": 10, "spacing_m": 150.0, "sigma": 1.0, "map_error_m": 0.0, "tolerance_m": 50.0}
+    wanted = position_bound(ground, heading_deg=[30.0], **options)
+    found = position_bound(paper, heading_deg=[30.0], ground_scale=(0.5, 0.5), **options)
+    for name in wanted:
+        np.testing.assert_array_equal(found[name].values, wanted[name].values)
+    with pytest.raises(geomag.InvalidInputError, match="ground_scale"):
+        position_bound(paper, heading_deg=[30.0], ground_scale=(0.0, 0.5), **options)
+
+
+@pytest.fixture
+def command():
+    for module in ("typer", "pandas", "xarray", "netCDF4"):
+        pytest.importorskip(module)
+    from geomag.cli import run
+
+    return run
+
+
+def test_a_utm_map_and_a_log_in_degrees_in_one_command(command, tmp_path, capsys):
+    import json
+
+    utm_map().to_xarray().to_netcdf(tmp_path / "map.nc")
+    track = utm_track()
+    rows = "\n".join(f"{a:.8f},{b:.8f},{v}" for a, b, v in zip(track.x, track.y, track.values, strict=True))
+    (tmp_path / "log.csv").write_text("longitude,latitude,total_field_anomaly_nt\n" + rows)
+    status = command(["match", str(tmp_path / "map.nc"), str(tmp_path / "log.csv"), "--method", "msd", "--json"])
+    said = capsys.readouterr()
+    assert status == 0, said.err
+    assert "turned from WGS 84" in said.err
+    fix = json.loads(said.out)
+    assert np.hypot(fix["offset_m"][0] + 400, fix["offset_m"][1] - 300) < 60
+
+
+def test_a_local_map_and_a_log_in_degrees_are_one_line_of_refusal(command, tmp_path, capsys):
+    utm_map(crs=None).to_xarray().to_netcdf(tmp_path / "map.nc")
+    (tmp_path / "log.csv").write_text("longitude,latitude,total_field_anomaly_nt\n9.1,45.1,3\n9.2,45.2,4\n")
+    assert command(["match", str(tmp_path / "map.nc"), str(tmp_path / "log.csv")]) == 1
+    said = capsys.readouterr().err
+    assert "degrees" in said
+    assert "metres" in said
+    assert "lost" not in said

@@ -71,6 +71,28 @@ GGA = "GPGGA,120030.50,4807.0380,N,01131.0000,W,1,08,0.9,545.4,M,46.9,M,,"
 RMC = "GPRMC,120031,A,3351.6500,S,15112.6000,E,0,0,010126,,"
 
 
+def test_a_lost_posterior_begins_anew_and_says_so(scene):
+    grid, track = scene
+    rng = np.random.default_rng(3)
+    wrong = [Sample(track.x[k], track.y[k], float(rng.uniform(-1e4, 1e4))) for k in range(25)]
+    right = [Sample(*s) for s in zip(track.x, track.y, track.values, strict=True)]
+
+    def lines(samples):
+        out = io.StringIO()
+        run(geomag.PosteriorMatcher(grid, half_width=2000.0, sigma=5.0, tolerance_m=500.0), samples, out)
+        return [json.loads(line) for line in out.getvalue().splitlines()]
+
+    said = lines(wrong)
+    lost = [k for k, line in enumerate(said) if line["status"] == "lost"]
+    assert lost
+    assert all(said[k]["restarted"] for k in lost)
+    assert not any("restarted" in line for line in said if line["status"] != "lost")
+    # After the restart it is as if the nonsense had never been.
+    fresh = lines(right)
+    assert any(line["ok"] for line in fresh)
+    assert lines(wrong[: lost[-1] + 1] + right)[lost[-1] + 1 :] == fresh
+
+
 def test_nmea_gives_the_samples():
     lines = [sentence(GGA), sentence("PGMAG,48123.5"), sentence("GPGSV,1,1,00"), sentence(RMC),
              sentence("PGMAG,-12.25"), "noise"]  # fmt: skip

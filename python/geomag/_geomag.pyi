@@ -18,6 +18,8 @@ _Status: TypeAlias = Literal[
     "fixed", "searching", "ambiguous", "at_edge", "lost", "uninformative", "not_converged", "rejected"
 ]
 
+_Field: TypeAlias = GridMap | HarmonicMap | MapStack
+
 @final
 class GridMap:
     def __new__(
@@ -70,6 +72,7 @@ class GridMap:
         registration_length: float | None = None,
         recalibration: tuple[float, float] | None = None,
         forecast: tuple[float, float] | None = None,
+        layout: Literal["given", "values"] = "given",
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...
@@ -108,6 +111,7 @@ class GridMap:
         model: dict[str, Any] | None,
         height_m: ArrayLike | None = None,
         ground_scale: ArrayLike | None = None,
+        turned: tuple[bool, bool] = ...,
     ) -> GridMap: ...
 
 @final
@@ -237,7 +241,7 @@ class IemaStep:
 class Iema:
     def __new__(
         cls,
-        grid: GridMap | MapStack,
+        grid: _Field,
         sigma: float,
         half_width: _Pair,
         tolerance: _Pair | None = None,
@@ -263,10 +267,10 @@ class Iema:
     def n_feasible(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
-    def _restore(grid: GridMap, bytes: bytes) -> Iema: ...
+    def _restore(grid: _Field, bytes: bytes) -> Iema: ...
 
 def match_grid(
-    grid: GridMap | MapStack,
+    grid: _Field,
     track: Track,
     criterion: str = "msd",
     *,
@@ -462,6 +466,7 @@ class SlidingContour:
         max_candidates: int = 1000000,
     ) -> SlidingContour: ...
     def update(self, x: float, y: float, value: float) -> Fix: ...
+    def reset(self) -> None: ...
     def run(self, track: Track) -> list[Fix]: ...
     @property
     def settled(self) -> dict[str, Any] | None: ...
@@ -478,6 +483,7 @@ def _delta_modulation(values: ArrayLike, quantum: float) -> tuple[NDArray[np.int
 @final
 class DeltaModulator:
     def __new__(cls, quantum: float) -> DeltaModulator: ...
+    def reset(self) -> None: ...
     def update(self, value: float) -> bool: ...
     @property
     def quantum(self) -> float: ...
@@ -591,6 +597,37 @@ class InsModel:
     def __ne__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
+@final
+class MatcherPlan:
+    def __new__(
+        cls,
+        *,
+        every_s: float = 60.0,
+        wide_every_s: float = 600.0,
+        samples: int = 40,
+        spacing_m: float | None = None,
+        tolerance_m: float | None = None,
+        max_risk: float = 0.01,
+        reach_m: float = 40000.0,
+    ) -> MatcherPlan: ...
+    @property
+    def every_s(self) -> float: ...
+    @property
+    def wide_every_s(self) -> float: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def spacing_m(self) -> float | None: ...
+    @property
+    def tolerance_m(self) -> float | None: ...
+    @property
+    def max_risk(self) -> float: ...
+    @property
+    def reach_m(self) -> float: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
 class _NavigatorOptions(TypedDict, total=False):
     ins: InsModel | None
     start: _Pair | None
@@ -604,6 +641,9 @@ class _NavigatorOptions(TypedDict, total=False):
     nu: float
     linear_m: float | None
     integrity_risk: float
+    matcher: MatcherPlan | None
+    terms_covariance: ArrayLike
+    method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float
 
 @final
@@ -620,6 +660,8 @@ class NavigationStep:
     def velocity_error_m_s(self) -> tuple[float, float]: ...
     @property
     def heading_error_deg(self) -> float: ...
+    @property
+    def tilt_error_mrad(self) -> tuple[float, float]: ...
     @property
     def bias(self) -> float: ...
     @property
@@ -650,7 +692,24 @@ class Navigator:
         velocity_m_s: _Pair | None = None,
         heading_deg: float | None = None,
         value: float | None = None,
+        *,
+        height_m: float | None = None,
+        terms: ArrayLike | None = None,
     ) -> NavigationStep: ...
+    def correct(self, fix: Fix) -> tuple[float, bool]: ...
+    def correct_position(self, offset_m: _Pair, covariance_m2: ArrayLike) -> tuple[float, bool]: ...
+    def correct_velocity(self, velocity_m_s: _Pair, sigma_m_s: float) -> tuple[float, bool]: ...
+    def reset(self, x: float, y: float, covariance_m2: ArrayLike) -> None: ...
+    def predict_bound(
+        self,
+        time_s: ArrayLike,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        velocity_m_s: ArrayLike | None = None,
+        heading_deg: ArrayLike | None = None,
+        height_m: ArrayLike | None = None,
+    ) -> _Floats: ...
     @property
     def status(self) -> _NavigationStatus: ...
     @property
@@ -672,6 +731,9 @@ def _navigate(
     velocity_m_s: ArrayLike | None = None,
     heading_deg: ArrayLike | None = None,
     readings: ArrayLike | None = None,
+    height_m: ArrayLike | None = None,
+    terms: ArrayLike | None = None,
+    lag_s: float | None = None,
     progress: _Progress = None,
     **options: Unpack[_NavigatorOptions],
 ) -> dict[str, Any]: ...
@@ -1129,7 +1191,7 @@ class FieldNavigator:
 # Calibrated matching.
 
 def match_posterior(
-    grid: GridMap | MapStack,
+    grid: _Field,
     track: Track,
     *,
     half_width: _Pair,
@@ -1147,10 +1209,10 @@ def match_posterior(
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
     surface: bool = False,
-    more: Sequence[tuple[GridMap, ArrayLike, float | None]] | None = None,
+    more: Sequence[tuple[_Field, ArrayLike, float | None]] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
-    grid: GridMap | MapStack,
+    grid: _Field,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1171,7 +1233,7 @@ def match_posterior_many(
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
-    grid: GridMap | MapStack,
+    grid: _Field,
     tracks: Sequence[Track],
     *,
     half_width: _Pair,
@@ -1205,7 +1267,7 @@ class PosteriorStep:
 class PosteriorMatcher:
     def __new__(
         cls,
-        grid: GridMap | MapStack,
+        grid: _Field,
         *,
         half_width: _Pair,
         sigma: float | None = None,
@@ -1233,7 +1295,7 @@ class PosteriorMatcher:
     def n_feasible(self) -> int: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
     @staticmethod
-    def _restore(grid: GridMap, state: bytes) -> PosteriorMatcher: ...
+    def _restore(grid: _Field, state: bytes) -> PosteriorMatcher: ...
 
 @final
 class Prediction:

@@ -215,6 +215,7 @@ def position_bound(
     free_level: bool = True,
     tolerance_m: float = 500.0,
     geographic: bool = False,
+    ground_scale: tuple[float, float] = (1.0, 1.0),
     block: int | tuple[int, int] | None = None,
     progress: bool | Callable[[int, int], object] | None = None,
 ) -> xr.Dataset:
@@ -234,6 +235,7 @@ def position_bound(
     free_level : whether a constant of the readings is unknown.
     tolerance_m : twice the standard deviation within this is a fix.
     geographic : whether coordinates are degrees.
+    ground_scale : metres on the ground per map unit (east, north) of a projected map: `GridMap.metres_per_unit` at its middle.
     block, progress : as in `blockwise`.
 
     Returns
@@ -248,6 +250,10 @@ def position_bound(
     spacing = (float(x[-1] - x[0]) / (x.size - 1), float(y[-1] - y[0]) / (y.size - 1))
     if min(spacing) <= 0:
         raise InvalidInputError(f"map: needed ascending axes, got spacings {spacing}; sort the array first")
+    if not (len(ground_scale) == 2 and all(np.isfinite(s) and s > 0 for s in ground_scale)):
+        raise InvalidInputError(f"ground_scale: needed two finite numbers > 0, got {ground_scale}")
+    if not geographic:
+        spacing = (spacing[0] * ground_scale[0], spacing[1] * ground_scale[1])
     told = {"spacing_m": spacing_m, "sigma": sigma, "map_error_m": map_error_m, "tolerance_m": tolerance_m}
     for name, value in (*told.items(), *(("heading_deg", h) for h in heading_deg)):
         if not np.isfinite(value):

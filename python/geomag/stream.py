@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, BinaryIO, Protocol, TextIO
 
 from geomag._geomag import Fix
@@ -18,7 +19,19 @@ from geomag.io._serial import Sample, read_csv, read_nmea
 if TYPE_CHECKING:
     from geomag.mavlink import Encoder
 
-__all__ = ["Matcher", "Sample", "Step", "Writer", "json_lines", "mavlink_messages", "read_csv", "read_nmea", "run"]
+__all__ = [
+    "Event",
+    "Matcher",
+    "Sample",
+    "Step",
+    "Writer",
+    "feed",
+    "json_lines",
+    "mavlink_messages",
+    "read_csv",
+    "read_nmea",
+    "run",
+]
 
 #: Those of `Fix.to_dict()`.
 _FIELDS = (
@@ -59,7 +72,7 @@ class Step(Protocol):
 class Matcher(Protocol):
     """A streaming matcher: `Iema`, `PosteriorMatcher`, `SlidingContour` and their like.
 
-    One that has `reset()` can begin anew; a sliding window need not.
+    One that has `reset()` can begin anew; one that gives a fix a sample, as a sliding window does, goes on by itself.
     """
 
     def update(self, x: float, y: float, value: float, /) -> Step | Fix:
@@ -67,20 +80,69 @@ class Matcher(Protocol):
         ...
 
 
-#: What becomes of a sample: the sample, the status after it, and the fix where the matcher looked for one.
-Writer = Callable[[Sample, str, Fix | None], None]
+@dataclass(frozen=True)
+class Event:
+    """What one sample did to a matcher: the status after it, the fix where it looked for one, and whether it begins anew."""
+
+    sample: Sample
+    status: str
+    fix: Fix | None
+    restarted: bool = False
+
+
+#: What becomes of an event.
+Writer = Callable[[Event], None]
+
+
+def feed(matcher: Matcher, samples: Iterable[Sample], *, restart: bool = True) -> Iterator[Event]:
+    """Feed samples to a streaming matcher, one event a sample, at once; begin anew after a fix or when it is lost.
+
+    A matcher is lost when it says so, with a fix or without one: none of its candidates is left, and no further sample would
+    bring one back. An event says where it was begun anew, and the next sample is the first of the new search.
+
+    Parameters
+    ----------
+    matcher : a streaming matcher.
+    samples : from `read_csv`, `read_nmea` or anything else.
+    restart : whether a matcher that has `reset()` begins anew.
+
+    Examples
+    --------
+    >>> import numpy as np, geomag
+    >>> from geomag.stream import Sample, feed
+    >>> x = np.arange(0.0, 3000.0, 50.0)
+    >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
+    >>> samples = [Sample(700 + 40 * k, 900 + 30 * k, 1e4) for k in range(3)]
+    >>> [(e.status, e.restarted) for e in feed(geomag.Iema(grid, 1.0, 200.0), samples)]
+    [('lost', True), ('lost', True), ('lost', True)]
+    """
+    reset = getattr(matcher, "reset", None) if restart else None
+    for sample in samples:
+        step = matcher.update(sample.x, sample.y, sample.value)
+        if isinstance(step, Fix):
+            yield Event(sample, step.status, step)
+            continue
+        status = step.status if step.fix is None else step.fix.status
+        over = reset is not None and status in ("fixed", "lost")
+        yield Event(sample, status, step.fix, over)
+        if over and reset is not None:
+            reset()
 
 
 def json_lines(out: TextIO) -> Writer:
     """A writer of one JSON line a sample, flushed at once.
 
-    A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix.
+    A line has the fields of `Fix.to_dict()`, all but the status null where the matcher did not look for a fix, and
+    `restarted` where the matcher was lost and begins anew: see `feed`.
     """
 
-    def write(sample: Sample, status: str, fix: Fix | None) -> None:
-        line = _nothing(status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
-        if sample.time_s is not None:
-            line["time_s"] = sample.time_s
+    def write(event: Event) -> None:
+        fix = event.fix
+        line = _nothing(event.status) if fix is None else {k: _plain(v) for k, v in fix.to_dict().items()}
+        if event.sample.time_s is not None:
+            line["time_s"] = event.sample.time_s
+        if event.restarted and event.status == "lost":
+            line["restarted"] = True
         out.write(json.dumps(line, allow_nan=False) + "\n")
         out.flush()
 
@@ -90,8 +152,8 @@ def json_lines(out: TextIO) -> Writer:
 def mavlink_messages(out: BinaryIO, encoder: Encoder) -> Writer:
     """A writer of MAVLink messages (see `geomag.mavlink`), flushed at once; only fixes that may be used are sent."""
 
-    def write(sample: Sample, status: str, fix: Fix | None) -> None:
-        message = encoder.encode(fix, sample.time_s)
+    def write(event: Event) -> None:
+        message = encoder.encode(event.fix, event.sample.time_s)
         if message:
             out.write(message)
             out.flush()
@@ -111,16 +173,9 @@ def run(matcher: Matcher, samples: Iterable[Sample], out: TextIO | Writer, *, re
     """
     last: Fix | None = None
     write = out if callable(out) else json_lines(out)
-    reset = getattr(matcher, "reset", None) if restart else None
-    for sample in samples:
-        step = matcher.update(sample.x, sample.y, sample.value)
-        fix = step if isinstance(step, Fix) else step.fix
-        write(sample, step.status if fix is None else fix.status, fix)
-        if fix is None:
-            continue
-        last = fix
-        if reset is not None and fix.status in ("fixed", "lost"):
-            reset()
+    for event in feed(matcher, samples, restart=restart):
+        write(event)
+        last = last if event.fix is None else event.fix
     return last
 
 

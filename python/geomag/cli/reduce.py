@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +13,7 @@ from geomag._errors import InvalidInputError, MissingFileError, ReadError, Unkno
 from geomag._optional import require
 from geomag.cli import app
 from geomag.cli._checks import output
+from geomag.cli._common import jsonable
 
 #: Names by which columns are known, lower case.
 _KNOWN = {
@@ -50,6 +52,7 @@ def reduce(
     y: Annotated[str | None, typer.Option(help="Column of the latitude.")] = None,
     value: Annotated[str | None, typer.Option(help="Column of the raw readings, nT.")] = None,
     time: Annotated[str | None, typer.Option(help="Column of the dates.")] = None,
+    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with what was taken off.")] = False,
 ) -> int:
     """Take main field, daily variation and the vehicle's own field off the readings of a log.
 
@@ -61,7 +64,8 @@ def reduce(
         raise InvalidInputError("--field: needed together with --compensation, got one of them")
     table = _table(log)
     readings = _numbers(table, log, value, "value")
-    said = []
+    said: list[str] = []
+    told: dict[str, Any] = {"rows": len(table), "out": str(out)}
     dates: Any = date
     if date is None and (main_field is not None or base is not None or compensation is not None):
         dates = _dates(table, log, time)
@@ -78,6 +82,7 @@ def reduce(
         axes = np.column_stack([_numbers(table, log, name.strip(), "field") for name in names])
         own = Compensation.from_json(compensation).interference(seconds, axes)
         readings = readings - own
+        told["vehicle_nt"] = float(np.nanstd(own))
         said.append(f"vehicle     {np.nanstd(own):.2f} nT (standard deviation) by {compensation.name}")
     if main_field is not None or base is not None:
         lon, lat = (_numbers(table, log, given, what) for given, what in ((x, "x"), (y, "y")))
@@ -91,6 +96,7 @@ def reduce(
                 height = _numbers(table, log, height_m, "height_m")
             main = model.total(lon, lat, height, dates)
             readings = readings - main
+            told |= {"main_field": model.name, "main_field_nt": [float(main.min()), float(main.max())]}
             said.append(f"main field  {main.min():.1f} to {main.max():.1f} nT by {model.name}")
         if base is not None:
             from geomag.diurnal import read_iaga2002
@@ -98,20 +104,17 @@ def reduce(
             when = np.broadcast_to(np.asarray(dates), readings.shape) if date is not None else dates
             removed = read_iaga2002(base).base().remove(when, lon, lat, readings)
             readings = removed.values
+            told["variation_nt"] = [float(removed.variation_nt.min()), float(removed.variation_nt.max())]
+            told |= {"left_nt": removed.sigma_nt, "correlation_time_s": removed.correlation_time_s}
             said.append(
                 f"variation   {removed.variation_nt.min():+.1f} to {removed.variation_nt.max():+.1f} nT by {base.name}, "
                 f"left {removed.sigma_nt:.1f} nT for {removed.correlation_time_s:.0f} s"
             )
     table["anomaly_nt"] = readings
     table.to_csv(out, index=False)
-    typer.echo(
-        "\n".join(
-            [
-                *said,
-                f"written     {out}, {len(table)} rows, anomaly_nt {np.nanmin(readings):.1f} to {np.nanmax(readings):.1f}",
-            ]
-        )
-    )
+    extent = f"{np.nanmin(readings):.1f} to {np.nanmax(readings):.1f}"
+    said.append(f"written     {out}, {len(table)} rows, anomaly_nt {extent}")
+    typer.echo(json.dumps(jsonable(told)) if json_ else "\n".join(said))
     return 0
 
 

@@ -96,6 +96,7 @@ def suitability(
         map_error_m=displaced,
         tolerance_m=tolerance_m,
         geographic=grid.geographic,
+        ground_scale=(1.0, 1.0) if grid.geographic else grid.metres_per_unit(float(0.5 * (grid.y[0] + grid.y[-1]))),
         progress=not as_json,
     )
     say = teller(as_json)

@@ -9,6 +9,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_positive};
+use crate::state::Saved;
 
 /// Terms of the model: 3 permanent, 6 induced, 9 of eddy currents.
 pub const TERMS: usize = 18;
@@ -91,6 +92,14 @@ pub struct Compensator {
     coefficients: Vec<f64>,
     max_gap_s: f64,
     last: Option<(f64, [f64; 3])>,
+}
+
+impl Saved for Compensator {
+    const NAME: &'static str = "Compensator";
+
+    fn check(&self) -> Result<()> {
+        self.validate()
+    }
 }
 
 impl Compensator {

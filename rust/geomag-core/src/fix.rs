@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
+use crate::state::Saved;
 use crate::track::Track;
 
 /// Why an answer may, or may not, be used.
@@ -173,5 +175,41 @@ impl Fix {
     /// True only where the fix may be used.
     pub fn ok(&self) -> bool {
         self.status == Status::Fixed
+    }
+}
+
+impl Saved for Surface {
+    const NAME: &'static str = "Surface";
+
+    fn check(&self) -> Result<()> {
+        if self.rows.checked_mul(self.columns) != Some(self.values.len()) || self.values.is_empty() {
+            let needed = format!("{} x {} scores", self.rows, self.columns);
+            return Err(Error::shape("surface", needed, format!("{} scores", self.values.len())));
+        }
+        require_finite("surface first offset", &self.first)?;
+        self.step.iter().try_for_each(|s| require_positive("surface step", *s).map(drop))
+    }
+}
+
+impl Saved for Fix {
+    const NAME: &'static str = "Fix";
+
+    fn check(&self) -> Result<()> {
+        if self.ok() {
+            require_finite("a fix: x, y", &[self.x, self.y])?;
+        }
+        for (name, share) in [("risk", self.risk), ("goodness", self.goodness)] {
+            if let Some(p) = share
+                && (p < 0.0 || p > 1.0)
+            {
+                return Err(Error::invalid(name, "a probability", p));
+            }
+        }
+        if let Some([[ee, en], [ne, nn]]) = self.covariance_m2
+            && (ee < 0.0 || nn < 0.0 || en.is_nan() != ne.is_nan())
+        {
+            return Err(Error::invalid("covariance_m2", "variances >= 0", format!("{ee}, {nn}")));
+        }
+        self.surface.as_ref().map_or(Ok(()), Saved::check)
     }
 }

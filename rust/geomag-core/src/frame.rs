@@ -6,6 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::MOST_LONGITUDE_DEG;
 use crate::constants::{WGS84_A_M, WGS84_E2};
 use crate::error::{Error, Result};
 
@@ -26,7 +27,8 @@ pub fn metres_per_degree(latitude_deg: f64) -> [f64; 2] {
     [(transverse * cos).to_radians(), meridional.to_radians()]
 }
 
-/// Brings a longitude into the turn around `centre_deg`: `[centre - 180, centre + 180)`.
+/// Brings a longitude into the turn around `centre_deg`: `[centre - 180, centre + 180)`; NaN where it is no longitude
+/// ([`MOST_LONGITUDE_DEG`]), for what is left of a huge number after so many turns is noise.
 ///
 /// ```
 /// assert_eq!(geomag_core::frame::wrap_longitude(-179.0, 180.0), 181.0);
@@ -36,8 +38,10 @@ pub fn wrap_longitude(longitude_deg: f64, centre_deg: f64) -> f64 {
     let away = longitude_deg - centre_deg;
     if (-180.0..180.0).contains(&away) {
         longitude_deg
-    } else {
+    } else if longitude_deg.abs() <= MOST_LONGITUDE_DEG {
         longitude_deg - 360.0 * ((away + 180.0) / 360.0).floor()
+    } else {
+        f64::NAN
     }
 }
 

@@ -9,6 +9,7 @@
 //! Conventions: x to the east, y to the north, metres on projected maps, degrees of longitude and latitude on geographic
 //! ones. Values in the map's unit. An *offset* is true minus indicated position.
 
+pub mod bounds;
 pub mod campaign;
 pub mod compensation;
 pub mod constants;
@@ -27,6 +28,7 @@ pub mod map_error;
 pub mod matching;
 pub mod monitor;
 pub mod navigation;
+mod random;
 pub mod stack;
 pub mod state;
 mod statistics;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_places;
 use crate::error::{Error, Result, require_finite, require_weights};
 
 /// Indicated positions and measured values, oldest first.
@@ -29,7 +30,7 @@ impl Track {
     ///
     /// # Errors
     /// [`Error::TooFewSamples`] without a sample, [`Error::Shape`] for unequal lengths, [`Error::NotFinite`] naming the
-    /// first bad sample, [`Error::Invalid`] where time runs backwards.
+    /// first bad sample, [`Error::Invalid`] where a coordinate is out of bounds ([`require_places`]) or time runs backwards.
     pub fn new(x: Vec<f64>, y: Vec<f64>, values: Vec<f64>, time_s: Option<Vec<f64>>) -> Result<Self> {
         let n = x.len();
         for (name, len) in [("y", y.len()), ("values", values.len()), ("time_s", time_s.as_ref().map_or(n, Vec::len))] {
@@ -40,8 +41,8 @@ impl Track {
         if n == 0 {
             return Err(Error::TooFewSamples { what: "track".into(), needed: 1, got: 0 });
         }
-        require_finite("track x", &x)?;
-        require_finite("track y", &y)?;
+        // What coordinates they are is the map's to say; a matcher asks again with it.
+        require_places("track", false, &x, &y)?;
         require_finite("track values", &values)?;
         if let Some(time) = &time_s {
             require_finite("track time_s", time)?;
@@ -70,6 +71,14 @@ impl Track {
         }
         self.height_m = height_m;
         Ok(self)
+    }
+
+    /// Refuses a track of which a sample cannot lie on a map of these coordinates.
+    ///
+    /// # Errors
+    /// As [`require_places`].
+    pub fn require_on(&self, geographic: bool) -> Result<()> {
+        require_places("track", geographic, &self.x, &self.y)
     }
 
     /// Number of samples, at least one.

@@ -397,8 +397,8 @@ fn sliding_window_goes_on_bit_for_bit_from_a_saved_state() {
     let (mut whole, mut parts) = (fresh(), fresh());
     for k in 0..track.len() {
         let [x, y] = track.point(k);
-        let bytes = geomag_core::state::save("SlidingContour", &parts).unwrap();
-        parts = geomag_core::state::load("SlidingContour", &bytes).unwrap();
+        let bytes = geomag_core::state::save(&parts).unwrap();
+        parts = geomag_core::state::load(&bytes).unwrap();
         let (a, b) = (
             whole.update(&map, x, y, track.values()[k]).unwrap(),
             parts.update(&map, x, y, track.values()[k]).unwrap(),

@@ -9,7 +9,7 @@ use pyo3::types::{PyBytes, PyTuple};
 use crate::arrays::{optional_vector, shaped, vector};
 use crate::error::PyRes;
 use crate::frame::vectors;
-use crate::lock::attached;
+use crate::lock::Shared;
 
 /// Terms of Tolles and Lawson, shape (n, 18), of a field in the vehicle's axes, shape (n, 3); see `geomag.compensation`.
 #[pyfunction]
@@ -51,7 +51,7 @@ pub fn tolles_lawson_terms<'py>(
 /// 50000.0
 #[pyclass(frozen, name = "Compensator", module = "geomag.compensation")]
 pub struct PyCompensator {
-    inner: std::sync::Mutex<Compensator>,
+    inner: Shared<Compensator>,
 }
 
 #[pymethods]
@@ -62,7 +62,7 @@ impl PyCompensator {
         let given = vector("coefficients", coefficients)?;
         let coefficients: [f64; TERMS] =
             given.try_into().map_err(|v: Vec<f64>| Error::shape("coefficients", "(18,)", format!("({},)", v.len())))?;
-        Ok(Self { inner: Compensator::new(coefficients, max_gap_s)?.into() })
+        Ok(Self { inner: Shared::new(Compensator::new(coefficients, max_gap_s)?) })
     }
 
     /// The reading without the vehicle's field, nT; NaN where the field or the reading is no number.
@@ -71,33 +71,31 @@ impl PyCompensator {
         let given = vector("field_nt", field_nt)?;
         let field: [f64; 3] =
             given.try_into().map_err(|v: Vec<f64>| Error::shape("field_nt", "(3,)", format!("({},)", v.len())))?;
-        Ok(attached(py, &self.inner).update(time_s, field, reading_nt)?)
+        Ok(self.inner.with(py, |c| c.update(time_s, field, reading_nt))?)
     }
 
     /// Coefficients of the terms, shape (18,).
     #[getter]
     fn coefficients<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, attached(py, &self.inner).coefficients().to_vec(), &[TERMS])
+        shaped(py, self.inner.with(py, |c| c.coefficients().to_vec()), &[TERMS])
     }
 
     /// Longest step over which a rate is taken, seconds.
     #[getter]
     fn max_gap_s(&self, py: Python<'_>) -> f64 {
-        attached(py, &self.inner).max_gap_s()
+        self.inner.with(py, |c| c.max_gap_s())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = state::save("Compensator", &*attached(py, &slf.get().inner))?;
+        let bytes = slf.get().inner.with(py, |c| state::save(c))?;
         let arguments = (PyBytes::new(py, &bytes),).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        let inner: Compensator = state::load("Compensator", bytes)?;
-        inner.validate()?;
-        Ok(Self { inner: inner.into() })
+        Ok(Self { inner: Shared::new(state::load(bytes)?) })
     }
 
     fn __repr__(&self) -> String {

@@ -1,28 +1,31 @@
 //! `closest_contour_point`, `fit_transform`, `match_contour`, `SlidingContour`.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
+use geomag_core::fix::Fix;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::closest::closest_contour_point;
 use geomag_core::matching::contour::{ContourOptions, match_channels_monitored};
 use geomag_core::matching::refine::RefineOptions;
 use geomag_core::matching::scene::{Channel, Priors};
-use geomag_core::matching::sliding::{AveragedPoint, SlidingState};
+use geomag_core::matching::sliding::{AveragedPoint, SlidingContour, SlidingState};
 use geomag_core::matching::starts::{DEFAULT_MAX_CANDIDATES, Starts};
+use geomag_core::matching::stream::{Sample, Stream};
 use geomag_core::matching::transform::{Transform, TransformKind};
 use geomag_core::stack::extent;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyTuple};
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::arrays::{broadcast, matrix, optional_vector, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::{PyGridMap, interpolation};
+use crate::lock::Shared;
+use crate::long_call;
 use crate::stack::{level_for, same_map};
 use crate::track::PyTrack;
-use crate::{lock, long_call, state};
 
 fn grid_map(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Arc<GridMap>> {
     match object.cast::<PyGridMap>() {
@@ -395,15 +398,8 @@ fn work(options: &ContourOptions, samples: usize, channels: usize) -> u64 {
 /// ('fixed', [200, -100], 9)
 #[pyclass(frozen, name = "SlidingContour", module = "geomag")]
 pub struct PySlidingContour {
-    inner: Mutex<SlidingState>,
-    map: Arc<GridMap>,
+    inner: Shared<SlidingContour>,
     grid: Py<PyAny>,
-}
-
-impl PySlidingContour {
-    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, SlidingState> {
-        lock::attached(py, &self.inner)
-    }
 }
 
 fn point_dict<'py>(py: Python<'py>, p: &AveragedPoint) -> PyRes<Bound<'py, PyDict>> {
@@ -435,13 +431,14 @@ impl PySlidingContour {
     ) -> PyRes<Self> {
         let map = grid_map("grid", grid)?;
         let options = contour_options(&map, options)?;
-        let inner = Mutex::new(SlidingState::new(length, sigma, floor_m, options)?);
-        Ok(Self { inner, map, grid: grid.clone().unbind() })
+        let state = SlidingState::new(length, sigma, floor_m, options)?;
+        Ok(Self { inner: Shared::new(SlidingContour::new(map, state)), grid: grid.clone().unbind() })
     }
 
     /// Take one sample: indicated position (map units) and measured value. Returns a `Fix`; `searching` until full.
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyFix> {
-        Ok(py.detach(|| lock::detached(&self.inner).update(&self.map, x, y, value))?.into())
+        let step = self.inner.take(py, &Sample { place: [x, y], value, height_m: None })?;
+        Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
     }
 
     /// Take the samples of a track one by one. Returns a list of `Fix`.
@@ -450,56 +447,59 @@ impl PySlidingContour {
         // Some hundred iterations of a few microseconds a sample.
         let units = track.len() as u64 * 500_000;
         let fixes = long_call::run(py, units, None, None, |monitor| {
-            let mut state = lock::detached(&self.inner);
-            (0..track.len())
-                .map(|k| {
-                    monitor.advance(k as u64, track.len() as u64)?;
-                    let [x, y] = track.point(k);
-                    state.update_monitored(&self.map, x, y, track.values()[k], monitor)
-                })
-                .collect::<Result<Vec<_>, _>>()
+            let one = |window: &mut SlidingContour, k: usize| {
+                monitor.advance(k as u64, track.len() as u64)?;
+                window.take(&Sample::of(&track, k), monitor)
+            };
+            let all =
+                |window: &mut SlidingContour| (0..track.len()).map(|k| one(window, k)).collect::<Result<Vec<_>, _>>();
+            self.inner.alone(all)
         })?;
-        Ok(fixes.into_iter().map(PyFix::from).collect())
+        Ok(fixes.into_iter().filter_map(|step| step.fix).map(PyFix::from).collect())
+    }
+
+    /// Begin again: an empty window.
+    fn reset(&self, py: Python<'_>) -> PyRes<()> {
+        self.inner.begin_again(py)
     }
 
     /// The sample that left the window last: dict of number, x, y (weighted mean) and estimates; None before.
     #[getter]
     fn settled<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
-        self.lock(py).settled().map(|p| point_dict(py, &p)).transpose()
+        self.inner.with(py, |s| s.state().settled()).map(|p| point_dict(py, &p)).transpose()
     }
 
     /// Samples in the window, oldest first, each a dict as `settled`.
     #[getter]
     fn averaged<'py>(&self, py: Python<'py>) -> PyRes<Vec<Bound<'py, PyDict>>> {
-        self.lock(py).averaged(&self.map).iter().map(|p| point_dict(py, p)).collect()
+        self.inner.with(py, |s| s.averaged()).iter().map(|p| point_dict(py, p)).collect()
     }
 
     /// Samples in a full window.
     #[getter]
     fn length(&self, py: Python<'_>) -> usize {
-        self.lock(py).length()
+        self.inner.with(py, |s| s.state().length())
     }
 
     /// Samples taken so far.
     #[getter]
     fn count(&self, py: Python<'_>) -> usize {
-        self.lock(py).count()
+        self.inner.seen(py)
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save("SlidingContour", &*slf.get().lock(py))?);
+        let bytes = slf.get().inner.saved(py)?;
         Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
-        let inner = Mutex::new(state::load("SlidingContour", bytes)?);
-        Ok(Self { inner, map: grid_map("grid", grid)?, grid: grid.clone().unbind() })
+        let inner = Shared::new(SlidingContour::restore(grid_map("grid", grid)?, bytes)?);
+        Ok(Self { inner, grid: grid.clone().unbind() })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let s = self.lock(py);
-        format!("SlidingContour(length {}, {} samples taken)", s.length(), s.count())
+        self.inner.with(py, |s| format!("SlidingContour(length {}, {} samples taken)", s.state().length(), s.seen()))
     }
 }

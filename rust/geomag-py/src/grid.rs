@@ -5,7 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
-use geomag_core::map_error::{DistanceLayer, Forecast, Recalibration, FilterLaw, MapErrorModel};
+use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, MapErrorModel, Recalibration};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -73,12 +73,14 @@ pub struct PyGridMap {
     name: Option<String>,
     units: Option<String>,
     crs: Option<String>,
+    /// Whether columns and rows of the arrays that it was made of ran the other way: layers that come later do too.
+    turned: [bool; 2],
 }
 
 impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
-        Self { inner: Arc::new(inner), name, units, crs }
+        Self { inner: Arc::new(inner), name, units, crs, turned: [false; 2] }
     }
 
     /// Another map with this one's name, units and reference system.
@@ -119,6 +121,39 @@ fn axis_array<'py>(py: Python<'py>, axis: &Axis) -> PyRes<Bound<'py, PyAny>> {
     shaped(py, (0..axis.len()).map(|i| axis.at(i)).collect(), &[axis.len()])
 }
 
+/// Whether coordinates ran down where their axis runs up.
+fn turned(coordinates: &[f64], axis: &Axis) -> bool {
+    (coordinates[0] - axis.first()).abs() > 0.5 * axis.step()
+}
+
+/// A layer of numbers >= 0 (NaN where unknown) of a map's shape.
+fn positive_layer(what: &str, object: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyRes<Vec<f64>> {
+    let values = layer(what, object, shape)?;
+    match values.iter().position(|s| s.is_infinite() || *s < 0.0) {
+        None => Ok(values),
+        Some(i) => {
+            let place = format!("{what}[{}, {}]", i / shape.1, i % shape.1);
+            Err(invalid(&place, "a finite number >= 0 (NaN where unknown)", values[i]))
+        }
+    }
+}
+
+/// A layer of a map's shape.
+fn layer(what: &str, object: &Bound<'_, PyAny>, shape: (usize, usize)) -> PyRes<Vec<f64>> {
+    let (values, rows, columns) = matrix(what, object)?;
+    if (rows, columns) != shape {
+        return Err(Error::shape(what, format!("{shape:?} as values"), format!("({rows}, {columns})")).into());
+    }
+    Ok(values)
+}
+
+/// A layer turned as the values of its map were, so that it lies as they do.
+fn turn(layer: &[f64], (rows, columns): (usize, usize), turned: [bool; 2]) -> Vec<f64> {
+    let from = |i: usize, n: usize, turned: bool| if turned { n - 1 - i } else { i };
+    let at = |k: usize| from(k / columns, rows, turned[1]) * columns + from(k % columns, columns, turned[0]);
+    (0..layer.len()).map(|k| layer[at(k)]).collect()
+}
+
 impl PyGridMap {
     /// With a ground scale: one number, one a row, or a pair a row; `falling` where rows come from north to south.
     fn scaled(&self, scale: &Bound<'_, PyAny>, falling: bool) -> PyRes<Self> {
@@ -142,6 +177,7 @@ impl PyGridMap {
             name: self.name.clone(),
             units: self.units.clone(),
             crs: self.crs.clone(),
+            turned: self.turned,
         })
     }
 
@@ -151,6 +187,7 @@ impl PyGridMap {
             name: self.name.clone(),
             units: self.units.clone(),
             crs: self.crs.clone(),
+            turned: self.turned,
         })
     }
 }
@@ -181,22 +218,12 @@ impl PyGridMap {
         }
         let resolution = axis_resolution(x, &xs).max(axis_resolution(y, &ys));
         let mut inner = GridMap::with_resolution(grid_values, &xs, &ys, geographic, resolution)?;
+        let turned = [turned(&xs, inner.x()), turned(&ys, inner.y())];
         if let Some(sigma) = sigma {
             let layer = if let Ok(constant) = sigma.extract::<f64>() {
                 MapSigma::Constant(constant)
             } else {
-                // The same constructor turns the layer with the axes, so that it lies as the values do.
-                let (layer, sigma_rows, sigma_columns) = matrix("sigma", sigma)?;
-                if (sigma_rows, sigma_columns) != (rows, columns) {
-                    let got = format!("({sigma_rows}, {sigma_columns})");
-                    return Err(Error::shape("sigma", format!("({rows}, {columns}) as values"), got).into());
-                }
-                if let Some(i) = layer.iter().position(|s| s.is_infinite() || *s < 0.0) {
-                    let place = format!("sigma[{}, {}]", i / columns, i % columns);
-                    return Err(invalid(&place, "a finite number >= 0 (NaN where unknown)", layer[i]));
-                }
-                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
-                MapSigma::Grid((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+                MapSigma::Grid(turn(&positive_layer("sigma", sigma, (rows, columns))?, (rows, columns), turned))
             };
             inner = inner.with_sigma(Some(layer))?;
         }
@@ -204,20 +231,14 @@ impl PyGridMap {
             let layer = if let Ok(level) = height.extract::<f64>() {
                 MapHeight::Level(level)
             } else {
-                let (layer, height_rows, height_columns) = matrix("height_m", height)?;
-                if (height_rows, height_columns) != (rows, columns) {
-                    let got = format!("({height_rows}, {height_columns})");
-                    return Err(Error::shape("height_m", format!("({rows}, {columns}) as values"), got).into());
-                }
-                let turned = GridMap::with_resolution(GridValues::F64(layer), &xs, &ys, geographic, resolution)?;
-                MapHeight::Drape((0..turned.values().len()).map(|i| turned.values().get(i)).collect())
+                MapHeight::Drape(turn(&layer("height_m", height, (rows, columns))?, (rows, columns), turned))
             };
             inner = inner.with_height(Some(layer))?;
         }
-        let map = Self { inner: Arc::new(inner), name, units, crs };
+        let map = Self { inner: Arc::new(inner), name, units, crs, turned };
         match ground_scale {
             None => Ok(map),
-            Some(scale) => map.scaled(scale, ys[0] > ys[ys.len() - 1]),
+            Some(scale) => map.scaled(scale, turned[1]),
         }
     }
 
@@ -319,6 +340,9 @@ impl PyGridMap {
 
     /// The same map with the statistics of its errors: see `geomag.survey`.
     ///
+    /// A layer `distance_m` lies as the arrays that the map was made of, north up or not, as `sigma` does there; with
+    /// `layout="values"` it lies as `values`, y ascending, which is what `error_model` says of its own.
+    ///
     /// The five after `distance_m` are what a filter has to know (`Navigator`): sigma of a single sample over the stored
     /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
@@ -327,7 +351,7 @@ impl PyGridMap {
     /// the standard deviation foretold (`predict_many`).
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
                         batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
-                        recalibration = None, forecast = None))]
+                        recalibration = None, forecast = None, layout = "given"))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -343,15 +367,17 @@ impl PyGridMap {
         registration_length: Option<f64>,
         recalibration: Option<(f64, f64)>,
         forecast: Option<(f64, f64)>,
+        layout: &str,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
         } else {
-            let (values, rows, columns) = matrix("distance_m", distance_m)?;
-            if (rows, columns) != self.shape() {
-                let needed = format!("{:?} as values", self.shape());
-                return Err(Error::shape("distance_m", needed, format!("({rows}, {columns})")).into());
-            }
+            let turned = match layout {
+                "given" => self.turned,
+                "values" => [false; 2],
+                other => return Err(invalid("layout", "'given' or 'values'", format!("'{other}'"))),
+            };
+            let values = turn(&positive_layer("distance_m", distance_m, self.shape())?, self.shape(), turned);
             DistanceLayer::Grid(values.into_iter().map(|d| d as f32).collect())
         };
         let stated = [sample_factor, batch_factor, crossover, registration_m_per_d, registration_length];
@@ -392,6 +418,9 @@ impl PyGridMap {
             DistanceLayer::Grid(layer) => {
                 let values = layer.iter().map(|d| f64::from(*d)).collect();
                 out.set_item("distance_m", shaped(py, values, &[self.shape().0, self.shape().1])?)?;
+                if self.turned != [false; 2] {
+                    out.set_item("layout", "values")?;
+                }
             }
         }
         if let Some(law) = &model.filter {
@@ -561,14 +590,16 @@ impl PyGridMap {
             model,
             this.height_m(py)?,
             this.ground_scale(py)?,
+            this.turned,
         )
             .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
-    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None, ground_scale = None))]
-    #[allow(clippy::type_complexity)] // the tuple that __reduce__ wrote
+    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None, ground_scale = None,
+                        turned = [false, false]))]
+    #[allow(clippy::type_complexity, clippy::too_many_arguments)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
         axes: ((f64, f64), (f64, f64)),
@@ -578,6 +609,7 @@ impl PyGridMap {
         model: Option<&Bound<'_, PyDict>>,
         height_m: Option<&Bound<'_, PyAny>>,
         ground_scale: Option<&Bound<'_, PyAny>>,
+        turned: [bool; 2],
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -598,7 +630,7 @@ impl PyGridMap {
             }),
         };
         let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_height(height)?;
-        let mut map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2 };
+        let mut map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2, turned };
         if let Some(scale) = ground_scale {
             map = map.scaled(scale, false)?;
         }
@@ -628,6 +660,7 @@ impl PyGridMap {
             optional("registration_length")?,
             pair("recalibration")?,
             pair("forecast")?,
+            "values",
         )
     }
 

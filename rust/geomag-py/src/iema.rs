@@ -1,19 +1,20 @@
 //! `Iema` and its steps.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::Arc;
 
 use geomag_core::field::Field;
 use geomag_core::lattice::DEFAULT_MAX_CANDIDATES;
 use geomag_core::matching::iema::{Iema, IemaOptions, IemaStep, Unknown};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
+use pyo3::types::PyTuple;
 
 use crate::arrays::{pair, shaped};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
+use crate::lock::Shared;
+use crate::long_call;
 use crate::track::PyTrack;
-use crate::{lock, long_call};
 
 /// Candidates from which a step is worth releasing the interpreter for.
 const MANY: usize = 50_000;
@@ -132,14 +133,8 @@ impl PyIemaStep {
 /// ('fixed', (2.0, -3.0))
 #[pyclass(frozen, name = "Iema", module = "geomag")]
 pub struct PyIema {
-    inner: Mutex<Iema>,
+    inner: Shared<Iema>,
     grid: Py<PyAny>,
-}
-
-impl PyIema {
-    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, Iema> {
-        lock::attached(py, &self.inner)
-    }
 }
 
 #[pymethods]
@@ -172,23 +167,16 @@ impl PyIema {
             max_candidates,
             ..IemaOptions::new(sigma, pair("half_width", half_width)?)
         };
-        Ok(Self { inner: Mutex::new(Iema::new(field(grid)?, options)?), grid: grid.clone().unbind() })
+        Ok(Self { inner: Shared::new(Iema::new(field(grid)?, options)?), grid: grid.clone().unbind() })
     }
 
     /// Take one sample: indicated position (map units), measured value, and height where the map is a `MapStack`. Returns an
     /// `IemaStep`.
     #[pyo3(signature = (x, y, value, height_m = None))]
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyIemaStep> {
-        let take = |mut iema: MutexGuard<'_, Iema>| {
-            iema.update_at(x, y, value, height_m).map(|step| (step, iema.field().clone()))
-        };
-        let iema = self.lock(py);
-        let (inner, field) = if iema.n_feasible() > MANY {
-            drop(iema);
-            py.detach(|| take(lock::detached(&self.inner)))?
-        } else {
-            take(iema)?
-        };
+        let take = |iema: &mut Iema| iema.update_at(x, y, value, height_m).map(|step| (step, iema.field().clone()));
+        let many = self.inner.with(py, |iema| iema.n_feasible() > MANY);
+        let (inner, field) = if many { self.inner.detached(py, take) } else { self.inner.with(py, take) }?;
         Ok(PyIemaStep { inner, field })
     }
 
@@ -196,39 +184,38 @@ impl PyIema {
     fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<PyFix> {
         let track = track.on(py, self.grid.bind(py))?;
         // At worst every candidate stays.
-        let units = (self.lock(py).lattice().len() as u64).saturating_mul(track.len() as u64);
+        let units = (self.inner.with(py, |iema| iema.lattice().len()) as u64).saturating_mul(track.len() as u64);
         let fix = long_call::run(py, units, None, None, |monitor| {
-            lock::detached(&self.inner).run_monitored(&track, monitor)
+            self.inner.alone(|iema| iema.run_monitored(&track, monitor))
         })?;
         Ok(fix.into())
     }
 
     /// Begin again: every candidate feasible, no sample seen.
     fn reset(&self, py: Python<'_>) {
-        self.lock(py).reset();
+        self.inner.with(py, Iema::reset);
     }
 
     /// The offset matrix: True where feasible; row = y offset ascending, column = x offset ascending.
     #[getter]
     fn feasible<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let iema = self.lock(py);
-        let (rows, columns) = (iema.lattice().rows(), iema.lattice().columns());
-        let flat = numpy::PyArray1::from_vec(py, iema.feasible());
+        let (lattice, feasible) = self.inner.with(py, |iema| (*iema.lattice(), iema.feasible()));
+        let (rows, columns) = (lattice.rows(), lattice.columns());
+        let flat = numpy::PyArray1::from_vec(py, feasible);
         Ok(numpy::PyArrayMethods::reshape(&flat, [rows, columns])?.into_any())
     }
 
     /// Log of the evaluation matrix, minus infinity where infeasible; laid out as `feasible`.
     #[getter]
     fn log_scores<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let iema = self.lock(py);
-        shaped(py, iema.log_scores(), &[iema.lattice().rows(), iema.lattice().columns()])
+        let (lattice, scores) = self.inner.with(py, |iema| (*iema.lattice(), iema.log_scores()));
+        shaped(py, scores, &[lattice.rows(), lattice.columns()])
     }
 
     /// x offsets of the columns and y offsets of the rows, map units.
     #[getter]
     fn offsets<'py>(&self, py: Python<'py>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let iema = self.lock(py);
-        let lattice = iema.lattice();
+        let lattice = self.inner.with(py, |iema| *iema.lattice());
         let x: Vec<f64> = (0..lattice.columns()).map(|c| lattice.offset(0, c)[0]).collect();
         let y: Vec<f64> = (0..lattice.rows()).map(|r| lattice.offset(r, 0)[1]).collect();
         let (columns, rows) = (x.len(), y.len());
@@ -238,35 +225,30 @@ impl PyIema {
     /// Samples seen since the start or the last reset.
     #[getter]
     fn n_samples(&self, py: Python<'_>) -> usize {
-        self.lock(py).n_samples()
+        self.inner.seen(py)
     }
 
     /// Candidates left.
     #[getter]
     fn n_feasible(&self, py: Python<'_>) -> usize {
-        self.lock(py).n_feasible()
+        self.inner.with(py, |iema| iema.n_feasible())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().lock(py).save()?);
+        let bytes = slf.get().inner.saved(py)?;
         Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: Mutex::new(Iema::restore(field(grid)?, bytes)?), grid: grid.clone().unbind() })
+        Ok(Self { inner: Shared::new(Iema::restore(field(grid)?, bytes)?), grid: grid.clone().unbind() })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let iema = self.lock(py);
-        let lattice = iema.lattice();
-        format!(
-            "Iema({} x {} offsets, {} samples, {} feasible)",
-            lattice.rows(),
-            lattice.columns(),
-            iema.n_samples(),
-            iema.n_feasible()
-        )
+        let (lattice, samples, left) =
+            self.inner.with(py, |iema| (*iema.lattice(), iema.n_samples(), iema.n_feasible()));
+        let (rows, columns) = (lattice.rows(), lattice.columns());
+        format!("Iema({rows} x {columns} offsets, {samples} samples, {left} feasible)")
     }
 }

@@ -1,7 +1,5 @@
 //! `InsFeedback` and its steps.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
 use geomag_core::error::Error;
 use geomag_core::navigation::ins_feedback::{CorrectedPosition, FeedbackStep, InsErrorModel, InsFeedback};
 use pyo3::prelude::*;
@@ -10,6 +8,7 @@ use pyo3::types::{PyBytes, PyTuple};
 use crate::arrays::{matrix, pair, shaped};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
+use crate::lock::Shared;
 use crate::state;
 
 fn covariance(object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
@@ -140,14 +139,7 @@ impl PyFeedbackStep {
 /// (True, [300.0, -200.0])
 #[pyclass(frozen, name = "InsFeedback", module = "geomag")]
 pub struct PyInsFeedback {
-    inner: Mutex<InsFeedback>,
-}
-
-impl PyInsFeedback {
-    fn lock(&self) -> MutexGuard<'_, InsFeedback> {
-        // A step replaces the filter whole, at its end.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    inner: Shared<InsFeedback>,
 }
 
 #[pymethods]
@@ -177,7 +169,7 @@ impl PyInsFeedback {
             heading_walk_deg,
             velocity_time_constant_s,
         };
-        Ok(Self { inner: Mutex::new(InsFeedback::new(model, geographic, gate_probability)?) })
+        Ok(Self { inner: Shared::new(InsFeedback::new(model, geographic, gate_probability)?) })
     }
 
     /// Advance to an indicated position at a time, and take a fix of it where there is one.
@@ -186,8 +178,10 @@ impl PyInsFeedback {
     /// covariance or is given `covariance_m2`), or `offset_m` (true minus indicated, east and north) with
     /// `covariance_m2`. Returns a `FeedbackStep`.
     #[pyo3(signature = (time_s, x, y, fix = None, *, offset_m = None, covariance_m2 = None))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn step(
         &self,
+        py: Python<'_>,
         time_s: f64,
         x: f64,
         y: f64,
@@ -196,67 +190,67 @@ impl PyInsFeedback {
         covariance_m2: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<PyFeedbackStep> {
         let covariance = covariance_m2.map(covariance).transpose()?;
-        let inner = match (fix, offset_m) {
+        let offset = offset_m.map(|o| pair("offset_m", o)).transpose()?;
+        let inner = match (fix, offset) {
             (Some(_), Some(_)) => return Err(invalid("step", "fix or offset_m", "both")),
-            (Some(fix), None) => self.lock().step_with_fix(time_s, x, y, &fix.inner, covariance)?,
+            (Some(fix), None) => self.inner.with(py, |f| f.step_with_fix(time_s, x, y, &fix.inner, covariance))?,
             (None, Some(offset)) => {
                 let covariance = covariance.ok_or_else(|| invalid("covariance_m2", "(2, 2) with offset_m", "None"))?;
-                self.lock().step(time_s, x, y, Some((pair("offset_m", offset)?, covariance)))?
+                self.inner.with(py, |f| f.step(time_s, x, y, Some((offset, covariance))))?
             }
-            (None, None) => self.lock().step(time_s, x, y, None)?,
+            (None, None) => self.inner.with(py, |f| f.step(time_s, x, y, None))?,
         };
         Ok(PyFeedbackStep { inner })
     }
 
     /// Estimated velocity error, m/s (east, north).
     #[getter]
-    fn velocity_error_m_s(&self) -> (f64, f64) {
-        self.lock().velocity_error_m_s().into()
+    fn velocity_error_m_s(&self, py: Python<'_>) -> (f64, f64) {
+        self.inner.with(py, |f| f.velocity_error_m_s()).into()
     }
 
     /// Estimated heading error, degrees clockwise.
     #[getter]
-    fn heading_error_deg(&self) -> f64 {
-        self.lock().heading_error_deg()
+    fn heading_error_deg(&self, py: Python<'_>) -> f64 {
+        self.inner.with(py, |f| f.heading_error_deg())
     }
 
     /// State: position error east, north (m), velocity error east, north (m/s), heading error (rad).
     #[getter]
     fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.lock().filter().state().as_slice().to_vec(), &[5])
+        shaped(py, self.inner.with(py, |f| f.filter().state().to_vec()), &[5])
     }
 
     /// Covariance of the state, (5, 5).
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.lock().filter().covariance().as_slice().to_vec(), &[5, 5])
+        shaped(py, self.inner.with(py, |f| f.filter().covariance().as_slice().to_vec()), &[5, 5])
     }
 
     /// Fixes used so far.
     #[getter]
-    fn accepted(&self) -> usize {
-        self.lock().accepted()
+    fn accepted(&self, py: Python<'_>) -> usize {
+        self.inner.with(py, |f| f.accepted())
     }
 
     /// Fixes refused so far.
     #[getter]
-    fn refused(&self) -> usize {
-        self.lock().refused()
+    fn refused(&self, py: Python<'_>) -> usize {
+        self.inner.with(py, |f| f.refused())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save("InsFeedback", &*slf.get().lock())?);
+        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |f| state::save(f))?);
         Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: Mutex::new(state::load("InsFeedback", bytes)?) })
+        Ok(Self { inner: Shared::new(state::load(bytes)?) })
     }
 
-    fn __repr__(&self) -> String {
-        let f = self.lock();
-        format!("InsFeedback({} fixes used, {} refused)", f.accepted(), f.refused())
+    fn __repr__(&self, py: Python<'_>) -> String {
+        self.inner.with(py, |f| format!("InsFeedback({} fixes used, {} refused)", f.accepted(), f.refused()))
     }
 }

@@ -1,7 +1,5 @@
 //! `UnscentedKalmanFilter` and `ExtendedKalmanFilter`.
 
-use std::sync::{Mutex, PoisonError};
-
 use geomag_core::error::Error;
 use geomag_core::kalman::{ExtendedKalmanFilter, Innovation, MAX_STATES, Scaling, UnscentedKalmanFilter};
 use numpy::{PyArray1, PyUntypedArrayMethods};
@@ -10,6 +8,7 @@ use pyo3::types::PyBytes;
 
 use crate::arrays::{array, shaped, vector};
 use crate::error::{PyError, PyRes, invalid};
+use crate::lock::{Shared, Turns};
 use crate::navigator::PyFieldSensor;
 
 type CoreMatrix = nalgebra::DMatrix<f64>;
@@ -126,16 +125,28 @@ impl<'py> Model<'py> {
 /// 0.0446
 #[pyclass(frozen, name = "UnscentedKalmanFilter", module = "geomag")]
 pub struct PyUnscentedKalmanFilter {
-    inner: Mutex<UnscentedKalmanFilter>,
+    inner: Shared<UnscentedKalmanFilter>,
+    turns: Turns,
 }
 
 impl PyUnscentedKalmanFilter {
-    fn snapshot(&self) -> UnscentedKalmanFilter {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    fn made(filter: UnscentedKalmanFilter) -> Self {
+        Self { inner: Shared::new(filter), turns: Turns::default() }
     }
 
-    fn store(&self, filter: UnscentedKalmanFilter) {
-        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = filter;
+    fn snapshot(&self, py: Python<'_>) -> UnscentedKalmanFilter {
+        self.inner.with(py, |f| f.clone())
+    }
+
+    /// A change that may call Python: on a copy, so that a model may look at the filter, and one after the other, so that none is
+    /// lost.
+    fn change<T>(&self, py: Python<'_>, change: impl FnOnce(&mut UnscentedKalmanFilter) -> PyRes<T>) -> PyRes<T> {
+        self.turns.take(py, "UnscentedKalmanFilter", || {
+            let mut filter = self.snapshot(py);
+            let done = change(&mut filter)?;
+            self.inner.with(py, |f| *f = filter);
+            Ok(done)
+        })
     }
 }
 
@@ -148,7 +159,7 @@ impl PyUnscentedKalmanFilter {
         let mean = vector("x", x)?;
         let p = covariance("P", mean.len(), P)?;
         let inner = UnscentedKalmanFilter::new(&mean, &p, Scaling { alpha, beta, kappa })?;
-        Ok(Self { inner: Mutex::new(inner) })
+        Ok(Self::made(inner))
     }
 
     /// Predicts with the model `f` (state (n,) to state (n,)) and the process noise `Q` (n, n).
@@ -156,13 +167,9 @@ impl PyUnscentedKalmanFilter {
     /// Raises `NotFiniteError`, `ShapeError`, `NotPositiveDefiniteError`; after an error the filter is as it was.
     #[allow(non_snake_case)] // Q as in every text on filters
     fn predict(&self, py: Python<'_>, f: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
-        // The callable may look at this filter: it works on a copy, nothing is locked meanwhile.
-        let mut filter = self.snapshot();
-        let n = filter.estimate().len();
+        let n = self.inner.with(py, |f| f.estimate().len());
         let (model, q) = (Model::new("f", f, n)?, covariance("Q", n, Q)?);
-        filter.predict::<PyError>(|x, out| model.call(py, "f", x, out), &q)?;
-        self.store(filter);
-        Ok(())
+        self.change(py, |filter| filter.predict::<PyError>(|x, out| model.call(py, "f", x, out), &q))
     }
 
     /// Takes in a measurement `z` (m,) with the model `h` (state (n,) to measurement (m,)) and its noise `R` (m, m).
@@ -179,111 +186,111 @@ impl PyUnscentedKalmanFilter {
         R: &Bound<'_, PyAny>,
         gate: Option<f64>,
     ) -> PyRes<bool> {
-        let mut filter = self.snapshot();
         let z = vector("z", z)?;
-        let (model, r) = (Model::new("h", h, filter.estimate().len())?, covariance("R", z.len(), R)?);
-        let accepted = filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, gate)?.accepted;
-        self.store(filter);
-        Ok(accepted)
+        let n = self.inner.with(py, |f| f.estimate().len());
+        let (model, r) = (Model::new("h", h, n)?, covariance("R", z.len(), R)?);
+        self.change(py, |filter| {
+            Ok(filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, gate)?.accepted)
+        })
     }
 
     /// State, (n,).
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = self.snapshot().estimate().mean().to_vec();
+        let mean = self.snapshot(py).estimate().mean().to_vec();
         let shape = [mean.len()];
         shaped(py, mean, &shape)
     }
 
     #[setter]
-    fn set_x(&self, x: &Bound<'_, PyAny>) -> PyRes<()> {
-        let mut filter = self.snapshot();
-        let p = filter.estimate().covariance();
-        filter.set(&vector("x", x)?, p.as_slice())?;
-        self.store(filter);
-        Ok(())
+    fn set_x(&self, py: Python<'_>, x: &Bound<'_, PyAny>) -> PyRes<()> {
+        let mean = vector("x", x)?;
+        self.change(py, |filter| {
+            let p = filter.estimate().covariance();
+            Ok(filter.set(&mean, p.as_slice())?)
+        })
     }
 
     /// Covariance of the state, (n, n).
     #[getter(P)]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        row_major(py, &self.snapshot().estimate().covariance())
+        row_major(py, &self.snapshot(py).estimate().covariance())
     }
 
     #[setter(P)]
-    fn set_covariance(&self, p: &Bound<'_, PyAny>) -> PyRes<()> {
-        let mut filter = self.snapshot();
-        let mean = filter.estimate().mean().to_vec();
-        filter.set(&mean, &covariance("P", mean.len(), p)?)?;
-        self.store(filter);
-        Ok(())
+    fn set_covariance(&self, py: Python<'_>, p: &Bound<'_, PyAny>) -> PyRes<()> {
+        let p = covariance("P", self.inner.with(py, |f| f.estimate().len()), p)?;
+        self.change(py, |filter| {
+            let mean = filter.estimate().mean().to_vec();
+            Ok(filter.set(&mean, &p)?)
+        })
     }
 
     /// Spread of the sigma points.
     #[getter]
-    fn alpha(&self) -> f64 {
-        self.snapshot().scaling().alpha
+    fn alpha(&self, py: Python<'_>) -> f64 {
+        self.snapshot(py).scaling().alpha
     }
 
     /// Prior knowledge of the distribution; 2 for a normal one.
     #[getter]
-    fn beta(&self) -> f64 {
-        self.snapshot().scaling().beta
+    fn beta(&self, py: Python<'_>) -> f64 {
+        self.snapshot(py).scaling().beta
     }
 
     /// Secondary scaling of the sigma points.
     #[getter]
-    fn kappa(&self) -> f64 {
-        self.snapshot().scaling().kappa
+    fn kappa(&self, py: Python<'_>) -> f64 {
+        self.snapshot(py).scaling().kappa
     }
 
     /// Normalised innovation squared of the newest update; None before the first.
     #[getter]
-    fn nis(&self) -> Option<f64> {
-        self.snapshot().innovation().map(|i| i.nis)
+    fn nis(&self, py: Python<'_>) -> Option<f64> {
+        self.snapshot(py).innovation().map(|i| i.nis)
     }
 
     /// Innovation of the last update, (m,); none before one.
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        residual(py, self.snapshot().innovation())
+        residual(py, self.snapshot(py).innovation())
     }
 
     /// Covariance of the last innovation, (m, m); none before one.
     #[getter(S)]
     fn innovation_covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.snapshot().innovation().map(|i| row_major(py, &i.covariance)).transpose()
+        self.snapshot(py).innovation().map(|i| row_major(py, &i.covariance)).transpose()
     }
 
     /// Gain of the last update, (n, m); none before one.
     #[getter(K)]
     fn gain<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.snapshot().innovation().map(|i| row_major(py, &i.gain)).transpose()
+        self.snapshot(py).innovation().map(|i| row_major(py, &i.gain)).transpose()
     }
 
     /// How often a pivot had to be raised to keep P positive definite.
     #[getter]
-    fn regularisations(&self) -> u64 {
-        self.snapshot().estimate().regularisations()
+    fn regularisations(&self, py: Python<'_>) -> u64 {
+        self.snapshot(py).estimate().regularisations()
     }
 
     /// Sigma points of the present estimate, (2 n + 1, n).
     fn sigma_points<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        row_major(py, &self.snapshot().sigma_points().transpose())
+        row_major(py, &self.snapshot(py).sigma_points().transpose())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let bytes = geomag_core::state::save("UnscentedKalmanFilter", &slf.get().snapshot())?;
+        let bytes = geomag_core::state::save(&slf.get().snapshot(slf.py()))?;
         Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: Mutex::new(geomag_core::state::load("UnscentedKalmanFilter", bytes)?) })
+        Ok(Self::made(geomag_core::state::load(bytes)?))
     }
 
-    fn __repr__(&self) -> String {
-        let filter = self.snapshot();
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let filter = self.snapshot(py);
         let s = filter.scaling();
         let nis = filter.innovation().map_or_else(|| "no update yet".to_owned(), |i| format!("NIS {:.3}", i.nis));
         format!(
@@ -316,16 +323,12 @@ fn residual<'py>(py: Python<'py>, innovation: Option<&Innovation>) -> PyRes<Opti
 /// 1.5
 #[pyclass(frozen, name = "ExtendedKalmanFilter", module = "geomag")]
 pub struct PyExtendedKalmanFilter {
-    inner: Mutex<ExtendedKalmanFilter>,
+    inner: Shared<ExtendedKalmanFilter>,
 }
 
 impl PyExtendedKalmanFilter {
-    fn snapshot(&self) -> ExtendedKalmanFilter {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    fn change<T>(&self, change: impl FnOnce(&mut ExtendedKalmanFilter) -> PyRes<T>) -> PyRes<T> {
-        change(&mut self.inner.lock().unwrap_or_else(PoisonError::into_inner))
+    fn snapshot(&self, py: Python<'_>) -> ExtendedKalmanFilter {
+        self.inner.with(py, |f| f.clone())
     }
 }
 
@@ -336,18 +339,24 @@ impl PyExtendedKalmanFilter {
     fn new(x: &Bound<'_, PyAny>, P: &Bound<'_, PyAny>) -> PyRes<Self> {
         let mean = vector("x", x)?;
         let p = covariance("P", mean.len(), P)?;
-        Ok(Self { inner: Mutex::new(ExtendedKalmanFilter::new(&mean, &p)?) })
+        Ok(Self { inner: Shared::new(ExtendedKalmanFilter::new(&mean, &p)?) })
     }
 
     /// Predicts: `state` (n,) is where the model leads, `F` (n, n) its derivative there, `Q` (n, n) the process noise.
     ///
     /// Raises `NotFiniteError`, `ShapeError`, `NotPositiveDefiniteError`; after an error the filter is as it was.
     #[allow(non_snake_case)] // F, Q as in every text on filters
-    fn predict(&self, state: &Bound<'_, PyAny>, F: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
+    fn predict(
+        &self,
+        py: Python<'_>,
+        state: &Bound<'_, PyAny>,
+        F: &Bound<'_, PyAny>,
+        Q: &Bound<'_, PyAny>,
+    ) -> PyRes<()> {
         let state = vector("state", state)?;
         let (f, _, _) = crate::arrays::matrix("F", F)?;
         let q = covariance("Q", state.len(), Q)?;
-        self.change(|filter| Ok(filter.predict(&state, &f, &q)?))
+        Ok(self.inner.with(py, |filter| filter.predict(&state, &f, &q))?)
     }
 
     /// Takes in a measurement `z` (m,) where `expected` (m,) was to be read, `H` (m, n) its derivative, `R` (m, m) its noise.
@@ -355,8 +364,10 @@ impl PyExtendedKalmanFilter {
     /// `gate` and the answer are those of `UnscentedKalmanFilter.update`.
     #[pyo3(signature = (z, expected, H, R, *, gate = None))]
     #[allow(non_snake_case)] // H, R as in every text on filters
+    #[allow(clippy::too_many_arguments)] // one each
     fn update(
         &self,
+        py: Python<'_>,
         z: &Bound<'_, PyAny>,
         expected: &Bound<'_, PyAny>,
         H: &Bound<'_, PyAny>,
@@ -366,69 +377,71 @@ impl PyExtendedKalmanFilter {
         let (z, expected) = (vector("z", z)?, vector("expected", expected)?);
         let (h, _, _) = crate::arrays::matrix("H", H)?;
         let r = covariance("R", z.len(), R)?;
-        self.change(|filter| Ok(filter.update(&z, &expected, &h, &r, gate)?.accepted))
+        Ok(self.inner.with(py, |filter| filter.update(&z, &expected, &h, &r, gate).map(|i| i.accepted))?)
     }
 
     /// State, (n,).
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = self.snapshot().estimate().mean().to_vec();
+        let mean = self.snapshot(py).estimate().mean().to_vec();
         let shape = [mean.len()];
         shaped(py, mean, &shape)
     }
 
     #[setter]
-    fn set_x(&self, x: &Bound<'_, PyAny>) -> PyRes<()> {
+    fn set_x(&self, py: Python<'_>, x: &Bound<'_, PyAny>) -> PyRes<()> {
         let mean = vector("x", x)?;
-        self.change(|filter| {
+        Ok(self.inner.with(py, |filter| {
             let p = filter.estimate().covariance();
-            Ok(filter.set(&mean, p.as_slice())?)
-        })
+            filter.set(&mean, p.as_slice())
+        })?)
     }
 
     /// Covariance of the state, (n, n).
     #[getter(P)]
     fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        row_major(py, &self.snapshot().estimate().covariance())
+        row_major(py, &self.snapshot(py).estimate().covariance())
     }
 
     #[setter(P)]
-    fn set_covariance(&self, p: &Bound<'_, PyAny>) -> PyRes<()> {
-        let mean = self.snapshot().estimate().mean().to_vec();
-        let p = covariance("P", mean.len(), p)?;
-        self.change(|filter| Ok(filter.set(&mean, &p)?))
+    fn set_covariance(&self, py: Python<'_>, p: &Bound<'_, PyAny>) -> PyRes<()> {
+        let p = covariance("P", self.inner.with(py, |f| f.estimate().len()), p)?;
+        Ok(self.inner.with(py, |filter| {
+            let mean = filter.estimate().mean().to_vec();
+            filter.set(&mean, &p)
+        })?)
     }
 
     /// Normalised innovation squared of the newest update; None before the first.
     #[getter]
-    fn nis(&self) -> Option<f64> {
-        self.snapshot().innovation().map(|i| i.nis)
+    fn nis(&self, py: Python<'_>) -> Option<f64> {
+        self.snapshot(py).innovation().map(|i| i.nis)
     }
 
     /// Innovation of the last update, (m,); none before one.
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        residual(py, self.snapshot().innovation())
+        residual(py, self.snapshot(py).innovation())
     }
 
     /// How often a pivot had to be raised to keep P positive definite.
     #[getter]
-    fn regularisations(&self) -> u64 {
-        self.snapshot().estimate().regularisations()
+    fn regularisations(&self, py: Python<'_>) -> u64 {
+        self.snapshot(py).estimate().regularisations()
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let bytes = geomag_core::state::save("ExtendedKalmanFilter", &slf.get().snapshot())?;
+        let bytes = geomag_core::state::save(&slf.get().snapshot(slf.py()))?;
         Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: Mutex::new(geomag_core::state::load("ExtendedKalmanFilter", bytes)?) })
+        Ok(Self { inner: Shared::new(geomag_core::state::load(bytes)?) })
     }
 
-    fn __repr__(&self) -> String {
-        let filter = self.snapshot();
+    fn __repr__(&self, py: Python<'_>) -> String {
+        let filter = self.snapshot(py);
         let nis = filter.innovation().map_or_else(|| "no update yet".to_owned(), |i| format!("NIS {:.3}", i.nis));
         format!("ExtendedKalmanFilter({} states, {nis})", filter.estimate().len())
     }

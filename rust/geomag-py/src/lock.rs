@@ -1,19 +1,96 @@
-//! State that several Python threads may use at once.
+//! State that several Python threads may use at once: one policy for all of it.
+//!
+//! What happens under a lock is a closure that can be sent to another thread, so it holds no Python object and no token of the
+//! interpreter: arguments are converted before the lock is taken, results after it is given back. Whoever waits lets the
+//! interpreter go, for the holder may be in a long call.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, PoisonError};
+use std::thread::ThreadId;
 
+use geomag_core::fix::Fix;
+use geomag_core::matching::stream::{Sample, Step, Stream};
+use geomag_core::monitor::Quiet;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
+use pyo3::types::PyBytes;
 
-/// Takes the lock; lets the interpreter go while waiting, for whoever holds the lock may be in a long call, and waiting
-/// with the interpreter would stop every other thread.
+use crate::error::{PyRes, invalid};
+
+/// State behind a lock.
 ///
 /// A poisoned lock is taken: updates replace the state whole, so a panic cannot leave a half-made one.
-pub fn attached<'a, T>(py: Python<'_>, mutex: &'a Mutex<T>) -> MutexGuard<'a, T> {
-    mutex.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
+pub struct Shared<T>(Mutex<T>);
+
+impl<T: Send> Shared<T> {
+    pub fn new(state: T) -> Self {
+        Self(Mutex::new(state))
+    }
+
+    /// Short work: the interpreter is kept while it is done, not while it is waited for.
+    pub fn with<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T) -> R + Send) -> R {
+        work(&mut self.0.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Long work: other Python threads run meanwhile.
+    pub fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T) -> R + Send) -> R {
+        py.detach(|| self.alone(work))
+    }
+
+    /// For whoever has let the interpreter go already.
+    pub fn alone<R>(&self, work: impl FnOnce(&mut T) -> R) -> R {
+        work(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
 }
 
-/// Takes the lock where the interpreter has been let go already.
-pub fn detached<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+/// What every stream of matching shares in Python.
+impl<S: Stream> Shared<S> {
+    /// Takes one sample; other Python threads run meanwhile.
+    pub fn take(&self, py: Python<'_>, sample: &Sample) -> PyRes<Step> {
+        Ok(self.detached(py, |s| s.take(sample, &Quiet))?)
+    }
+
+    /// The answer on the samples held.
+    pub fn answer(&self, py: Python<'_>) -> PyRes<Fix> {
+        Ok(self.detached(py, |s| s.answer())?)
+    }
+
+    /// Begins again.
+    pub fn begin_again(&self, py: Python<'_>) -> PyRes<()> {
+        Ok(self.with(py, |s| s.begin_again())?)
+    }
+
+    /// Samples seen.
+    pub fn seen(&self, py: Python<'_>) -> usize {
+        self.with(py, |s| s.seen())
+    }
+
+    /// The state as bytes.
+    pub fn saved<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &self.with(py, |s| s.saved())?))
+    }
+}
+
+/// Turns at an object whose changes call Python: they take turns, while anybody may look at the state between them.
+#[derive(Default)]
+pub struct Turns {
+    turn: Mutex<()>,
+    owner: Mutex<Option<ThreadId>>,
+}
+
+impl Turns {
+    /// Does `work` when its turn comes; the interpreter is let go while waiting.
+    ///
+    /// A model that changes the filter which is calling it would wait for itself: refused.
+    pub fn take<R>(&self, py: Python<'_>, what: &str, work: impl FnOnce() -> PyRes<R>) -> PyRes<R> {
+        let me = std::thread::current().id();
+        let owner = || self.owner.lock().unwrap_or_else(PoisonError::into_inner);
+        if *owner() == Some(me) {
+            return Err(invalid(what, "a model that leaves the filter that calls it as it is", "a change of it"));
+        }
+        let _turn = self.turn.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
+        *owner() = Some(me);
+        let done = work();
+        *owner() = None;
+        done
+    }
 }

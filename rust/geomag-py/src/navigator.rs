@@ -1,6 +1,6 @@
 //! `FieldSensor`, `FieldNavigator` and its steps.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::grid::Interpolation;
@@ -15,6 +15,7 @@ use crate::arrays::{broadcast, matrix, pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::grid::{field, interpolation};
 use crate::harmonic::{PyHarmonicModel, main_vector, quantity};
+use crate::lock::Shared;
 
 /// What a sensor reads of a field at a place.
 ///
@@ -296,14 +297,8 @@ impl PyNavigatorStep {
 /// True
 #[pyclass(frozen, name = "FieldNavigator", module = "geomag")]
 pub struct PyFieldNavigator {
-    inner: Mutex<FieldNavigator>,
+    inner: Shared<FieldNavigator>,
     sensor: Py<PyFieldSensor>,
-}
-
-impl PyFieldNavigator {
-    fn lock(&self) -> MutexGuard<'_, FieldNavigator> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 fn planar(what: &str, object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
@@ -380,24 +375,25 @@ impl PyFieldNavigator {
             scaling: Scaling { alpha, beta, kappa },
         };
         let inner = FieldNavigator::new(sensor.get().inner.clone(), options)?;
-        Ok(Self { inner: Mutex::new(inner), sensor })
+        Ok(Self { inner: Shared::new(inner), sensor })
     }
 
     /// Moves on by `dt_s` seconds with the indicated speed (m/s) and course (degrees, clockwise from north) and takes in a
     /// reading, where there is one. Numbers of it that are NaN are left out.
     ///
     /// Raises `NotFiniteError`, `InvalidInputError` (time running backwards), `ShapeError` (another number of components than the
-    /// sensor has), `NotPositiveDefiniteError`. After an error in the reading the prediction stands.
+    /// sensor has), `NotPositiveDefiniteError`. After an error nothing has moved.
     #[pyo3(signature = (dt_s, speed_m_s, course_deg, reading = None))]
     fn step(
         &self,
+        py: Python<'_>,
         dt_s: f64,
         speed_m_s: f64,
         course_deg: f64,
         reading: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<PyNavigatorStep> {
         let reading = reading.map(numbers).transpose()?;
-        let inner = self.lock().step(dt_s, speed_m_s, course_deg, reading.as_deref())?;
+        let inner = self.inner.with(py, |n| n.step(dt_s, speed_m_s, course_deg, reading.as_deref()))?;
         Ok(PyNavigatorStep { inner })
     }
 
@@ -419,27 +415,27 @@ impl PyFieldNavigator {
         if columns != 2 {
             return Err(Error::shape("path", "(n, 2): x, y", format!("({rows}, {columns})")).into());
         }
-        let navigator = self.lock().clone();
+        let navigator = self.inner.with(py, |n| n.clone());
         let bounds = py.detach(|| navigator.bound(values.as_chunks::<2>().0, dt_s, speed_m_s, course_deg))?;
         shaped(py, bounds.as_flattened().as_flattened().to_vec(), &[rows, 2, 2])
     }
 
     /// Estimated place (x, y), map coordinates.
     #[getter]
-    fn position(&self) -> (f64, f64) {
-        self.lock().position().into()
+    fn position(&self, py: Python<'_>) -> (f64, f64) {
+        self.inner.with(py, |n| n.position()).into()
     }
 
     /// Covariance of the position, square metres, east-north, (2, 2).
     #[getter]
     fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.lock().covariance_m2().as_flattened().to_vec(), &[2, 2])
+        shaped(py, self.inner.with(py, |n| n.covariance_m2()).as_flattened().to_vec(), &[2, 2])
     }
 
     /// State, (n,): metres east and north of the start first.
     #[getter]
     fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = self.lock().estimate().mean().to_vec();
+        let mean = self.inner.with(py, |n| n.estimate().mean().to_vec());
         let shape = [mean.len()];
         shaped(py, mean, &shape)
     }
@@ -447,56 +443,56 @@ impl PyFieldNavigator {
     /// Covariance of the state, (n, n).
     #[getter(P)]
     fn state_covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let p = self.lock().estimate().covariance();
+        let p = self.inner.with(py, |n| n.estimate().covariance());
         shaped(py, p.as_slice().to_vec(), &[p.nrows(), p.ncols()])
     }
 
     /// (value, standard deviation) of the speed's error, m/s; None where it is not estimated.
     #[getter]
-    fn speed_error_m_s(&self) -> Option<(f64, f64)> {
-        self.lock().speed_error_m_s()
+    fn speed_error_m_s(&self, py: Python<'_>) -> Option<(f64, f64)> {
+        self.inner.with(py, |n| n.speed_error_m_s())
     }
 
     /// (value, standard deviation) of the course's error, degrees; None where it is not estimated.
     #[getter]
-    fn heading_error_deg(&self) -> Option<(f64, f64)> {
-        self.lock().heading_error_deg()
+    fn heading_error_deg(&self, py: Python<'_>) -> Option<(f64, f64)> {
+        self.inner.with(py, |n| n.heading_error_deg())
     }
 
     /// [(value, standard deviation), ...] of the sensor's constant error; empty where it is not estimated.
     #[getter]
-    fn bias(&self) -> Vec<(f64, f64)> {
-        self.lock().bias()
+    fn bias(&self, py: Python<'_>) -> Vec<(f64, f64)> {
+        self.inner.with(py, |n| n.bias())
     }
 
     /// Whether the innovations say that the filter has lost its way.
     #[getter]
-    fn diverged(&self) -> bool {
-        self.lock().diverged()
+    fn diverged(&self, py: Python<'_>) -> bool {
+        self.inner.with(py, |n| n.diverged())
     }
 
     /// Normalised innovation squared of the last reading; none before one.
     #[getter]
-    fn nis(&self) -> Option<f64> {
-        self.lock().innovation().map(|i| i.nis)
+    fn nis(&self, py: Python<'_>) -> Option<f64> {
+        self.inner.with(py, |n| n.innovation().map(|i| i.nis))
     }
 
     /// Time since the start, seconds.
     #[getter]
-    fn time_s(&self) -> f64 {
-        self.lock().time_s()
+    fn time_s(&self, py: Python<'_>) -> f64 {
+        self.inner.with(py, |n| n.time_s())
     }
 
     /// Steps taken.
     #[getter]
-    fn n_steps(&self) -> u64 {
-        self.lock().steps()
+    fn n_steps(&self, py: Python<'_>) -> u64 {
+        self.inner.with(py, |n| n.steps())
     }
 
     /// How often a pivot had to be raised to keep the covariance positive definite.
     #[getter]
-    fn regularisations(&self) -> u64 {
-        self.lock().estimate().regularisations()
+    fn regularisations(&self, py: Python<'_>) -> u64 {
+        self.inner.with(py, |n| n.estimate().regularisations())
     }
 
     /// What reads the field.
@@ -507,27 +503,27 @@ impl PyFieldNavigator {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().lock().save()?);
+        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |n| n.save())?);
         Ok((slf.get_type().getattr("_restore")?, (slf.get().sensor.clone_ref(py), bytes).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(sensor: Py<PyFieldSensor>, bytes: &[u8]) -> PyRes<Self> {
         let inner = FieldNavigator::restore(sensor.get().inner.clone(), bytes)?;
-        Ok(Self { inner: Mutex::new(inner), sensor })
+        Ok(Self { inner: Shared::new(inner), sensor })
     }
 
-    fn __repr__(&self) -> String {
-        let navigator = self.lock();
-        let [x, y] = navigator.position();
-        let [[east, _], [_, north]] = navigator.covariance_m2();
-        format!(
-            "FieldNavigator({} steps, x {x:.6}, y {y:.6}, sigma {:.2} m east, {:.2} m north{})",
-            navigator.steps(),
-            east.sqrt(),
-            north.sqrt(),
-            if navigator.diverged() { ", diverged" } else { "" }
-        )
+    fn __repr__(&self, py: Python<'_>) -> String {
+        self.inner.with(py, |n| {
+            let ([x, y], [[east, _], [_, north]]) = (n.position(), n.covariance_m2());
+            format!(
+                "FieldNavigator({} steps, x {x:.6}, y {y:.6}, sigma {:.2} m east, {:.2} m north{})",
+                n.steps(),
+                east.sqrt(),
+                north.sqrt(),
+                if n.diverged() { ", diverged" } else { "" }
+            )
+        })
     }
 }
 

@@ -1,21 +1,23 @@
 //! Calibrated matching.
 
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::Arc;
 
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::matching::posterior::{self, Channel, PosteriorMatcher, PosteriorOptions, PosteriorStep, Prediction};
+use geomag_core::matching::stream::feed;
 use geomag_core::track::Track;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
+use pyo3::types::PyTuple;
 
 use crate::arrays::{pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
+use crate::lock::Shared;
+use crate::long_call;
 use crate::stack::field_for;
 use crate::track::PyTrack;
-use crate::{lock, long_call};
 
 /// A further field measured along the track: its map, values and sensor sigma.
 type Extra = (Arc<dyn Field>, Vec<f64>, Option<f64>);
@@ -329,14 +331,8 @@ impl PyPosteriorStep {
 /// ('fixed', True, True)
 #[pyclass(frozen, name = "PosteriorMatcher", module = "geomag")]
 pub struct PyPosteriorMatcher {
-    inner: Mutex<PosteriorMatcher>,
+    inner: Shared<PosteriorMatcher>,
     grid: Py<PyAny>,
-}
-
-impl PyPosteriorMatcher {
-    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, PosteriorMatcher> {
-        lock::attached(py, &self.inner)
-    }
 }
 
 #[pymethods]
@@ -371,7 +367,7 @@ impl PyPosteriorMatcher {
             position_sigma_m, nu, min_overlap, min_goodness, max_candidates
         };
         let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;
-        Ok(Self { inner: Mutex::new(inner), grid: grid.clone().unbind() })
+        Ok(Self { inner: Shared::new(inner), grid: grid.clone().unbind() })
     }
 
     /// Takes one sample: indicated position `x`, `y` (map units), measured `value`, and `height_m` where the map is a `MapStack`.
@@ -380,25 +376,16 @@ impl PyPosteriorMatcher {
     /// Raises `NotFiniteError` for a sample that is not finite; it is not taken.
     #[pyo3(signature = (x, y, value, height_m = None))]
     fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyPosteriorStep> {
-        Ok(PyPosteriorStep { inner: py.detach(|| lock::detached(&self.inner).update_at(x, y, value, height_m))? })
+        Ok(PyPosteriorStep { inner: self.inner.detached(py, |m| m.update_at(x, y, value, height_m))? })
     }
 
     /// Takes samples until a fix is declared or the track ends; the answer then.
     fn run(&self, py: Python<'_>, track: &Bound<'_, PyTrack>) -> PyRes<PyFix> {
         let track = track.get().on(py, self.grid.bind(py))?;
         let total = track.len() as u64;
-        let units = total.saturating_mul(self.lock(py).n_feasible() as u64);
+        let units = total.saturating_mul(self.inner.with(py, |m| m.n_feasible()) as u64);
         let fix = long_call::run(py, units, None, None, |monitor| {
-            let mut matcher = lock::detached(&self.inner);
-            for k in 0..track.len() {
-                monitor.advance(k as u64, total)?;
-                let height = track.height_m().map(|h| h[k]);
-                let step = matcher.update_at(track.x()[k], track.y()[k], track.values()[k], height)?;
-                if let Some(fix) = step.fix.filter(geomag_core::fix::Fix::ok) {
-                    return Ok(fix);
-                }
-            }
-            matcher.fix()
+            self.inner.alone(|matcher| feed(matcher, &track, false, monitor))
         })?;
         Ok(fix.into())
     }
@@ -407,43 +394,42 @@ impl PyPosteriorMatcher {
     ///
     /// Raises `TooFewSamplesError` before there are enough samples.
     fn fix(&self, py: Python<'_>) -> PyRes<PyFix> {
-        let fix = py.detach(|| lock::detached(&self.inner).fix())?;
-        Ok(fix.into())
+        Ok(self.inner.answer(py)?.into())
     }
 
     /// Forgets all samples; every candidate is back.
     fn reset(&self, py: Python<'_>) -> PyRes<()> {
-        Ok(self.lock(py).reset()?)
+        self.inner.begin_again(py)
     }
 
     /// Samples seen.
     #[getter]
     fn n_samples(&self, py: Python<'_>) -> usize {
-        self.lock(py).n_samples()
+        self.inner.seen(py)
     }
 
     /// Candidates left.
     #[getter]
     fn n_feasible(&self, py: Python<'_>) -> usize {
-        self.lock(py).n_feasible()
+        self.inner.with(py, |m| m.n_feasible())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let (py, this) = (slf.py(), slf.get());
-        let state = PyBytes::new(py, &this.lock(py).save()?);
+        let state = this.inner.saved(py)?;
         let arguments = (this.grid.clone_ref(py), state).into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
     }
 
     #[staticmethod]
     fn _restore(grid: &Bound<'_, PyAny>, state: &[u8]) -> PyRes<Self> {
-        let inner = Mutex::new(PosteriorMatcher::load(field(grid)?, state)?);
+        let inner = Shared::new(PosteriorMatcher::load(field(grid)?, state)?);
         Ok(Self { inner, grid: grid.clone().unbind() })
     }
 
     fn __repr__(&self, py: Python<'_>) -> String {
-        let matcher = self.lock(py);
-        format!("PosteriorMatcher({} samples, {} feasible)", matcher.n_samples(), matcher.n_feasible())
+        let (samples, left) = self.inner.with(py, |m| (m.n_samples(), m.n_feasible()));
+        format!("PosteriorMatcher({samples} samples, {left} feasible)")
     }
 }
 

@@ -1,7 +1,5 @@
 //! `delta_modulation`, `DeltaModulator`, `choose_sequence`, `energy_bandwidth`, `tune_sequence`.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
 use geomag_core::matching::contour::ContourOptions;
 use geomag_core::matching::sequence::{
     DeltaModulator, SequenceRules, choose_sequence_monitored, delta_modulation, energy_bandwidth_monitored,
@@ -15,6 +13,7 @@ use crate::arrays::{optional_vector, vector};
 use crate::contour::transform_kind;
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
+use crate::lock::Shared;
 use crate::track::PyTrack;
 use crate::{long_call, state};
 
@@ -58,59 +57,57 @@ pub fn py_delta_modulation<'py>(
 /// [False, False, True, True, False]
 #[pyclass(frozen, name = "DeltaModulator", module = "geomag")]
 pub struct PyDeltaModulator {
-    inner: Mutex<DeltaModulator>,
-}
-
-impl PyDeltaModulator {
-    fn lock(&self) -> MutexGuard<'_, DeltaModulator> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    inner: Shared<DeltaModulator>,
 }
 
 #[pymethods]
 impl PyDeltaModulator {
     #[new]
     fn new(quantum: f64) -> PyRes<Self> {
-        Ok(Self { inner: Mutex::new(DeltaModulator::new(quantum)?) })
+        Ok(Self { inner: Shared::new(DeltaModulator::new(quantum)?) })
     }
 
     /// Take the next value; True where its sample is chosen.
-    fn update(&self, value: f64) -> PyRes<bool> {
-        Ok(self.lock().update(value)?.chosen)
+    fn update(&self, py: Python<'_>, value: f64) -> PyRes<bool> {
+        Ok(self.inner.with(py, |m| m.update(value))?.chosen)
+    }
+
+    /// Begin again: no value seen.
+    fn reset(&self, py: Python<'_>) {
+        self.inner.with(py, DeltaModulator::reset);
     }
 
     /// Quantum, value units.
     #[getter]
-    fn quantum(&self) -> f64 {
-        self.lock().quantum()
+    fn quantum(&self, py: Python<'_>) -> f64 {
+        self.inner.with(py, |m| m.quantum())
     }
 
     /// Values taken so far.
     #[getter]
-    fn count(&self) -> usize {
-        self.lock().count()
+    fn count(&self, py: Python<'_>) -> usize {
+        self.inner.with(py, |m| m.count())
     }
 
     /// Where the staircase stands; None before the first value.
     #[getter]
-    fn staircase(&self) -> Option<f64> {
-        self.lock().staircase()
+    fn staircase(&self, py: Python<'_>) -> Option<f64> {
+        self.inner.with(py, |m| m.staircase())
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save("DeltaModulator", &*slf.get().lock())?);
+        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |m| state::save(m))?);
         Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: Mutex::new(state::load("DeltaModulator", bytes)?) })
+        Ok(Self { inner: Shared::new(state::load(bytes)?) })
     }
 
-    fn __repr__(&self) -> String {
-        let m = self.lock();
-        format!("DeltaModulator(quantum {}, {} values taken)", m.quantum(), m.count())
+    fn __repr__(&self, py: Python<'_>) -> String {
+        self.inner.with(py, |m| format!("DeltaModulator(quantum {}, {} values taken)", m.quantum(), m.count()))
     }
 }
 

@@ -117,13 +117,13 @@ impl PySyntheticField {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save("SyntheticField", &slf.get().inner)?);
+        let bytes = PyBytes::new(py, &state::save(&slf.get().inner)?);
         Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: state::load("SyntheticField", bytes)? })
+        Ok(Self { inner: state::load(bytes)? })
     }
 
     fn __repr__(&self) -> String {
@@ -228,13 +228,13 @@ impl PyPath {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
         let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save("Path", &slf.get().inner)?);
+        let bytes = PyBytes::new(py, &state::save(&slf.get().inner)?);
         Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
     }
 
     #[staticmethod]
     fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: state::load("Path", bytes)? })
+        Ok(Self { inner: state::load(bytes)? })
     }
 
     fn __repr__(&self) -> String {

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::{LEAST_STEP, require_places};
 use crate::error::{Error, Result};
 use crate::frame::wrap_longitude;
 
@@ -24,8 +25,12 @@ impl Axis {
     /// # Errors
     /// [`Error::Invalid`], [`Error::NotFinite`], [`Error::TooFewSamples`].
     pub fn new(first: f64, step: f64, len: usize) -> Result<Self> {
-        crate::error::require_finite("axis start", &[first])?;
         crate::error::require_positive("axis step", step)?;
+        if step < LEAST_STEP {
+            return Err(Error::invalid("axis step", format!("at least {LEAST_STEP} map units"), step));
+        }
+        let last = first + step * len.saturating_sub(1) as f64;
+        require_places("axis first and last", false, &[first, last], &[])?;
         if len < 2 {
             return Err(Error::TooFewSamples { what: "axis".into(), needed: 2, got: len });
         }

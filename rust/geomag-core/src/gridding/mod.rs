@@ -197,7 +197,8 @@ mod tests {
             y.push(b);
             v.push(3.0 + 0.5 * a - 0.25 * b);
         }
-        let surface = minimum_curvature([&x, &y, &v], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 400, &Quiet).unwrap();
+        let surface =
+            minimum_curvature([&x, &y, &v], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 400, &Quiet).unwrap();
         // The border is harmonic where data are wanting, which a sloping plane is not; the further in the nearer.
         let mut worst = [0.0_f64; 2];
         for r in 3..18 {
@@ -215,10 +216,12 @@ mod tests {
         // Two heights along the middle column and none elsewhere: stretched cells pull the far columns less.
         let axis = Axis::new(0.0, 1.0, 17).unwrap();
         let (x, y, v) = ([8.0, 8.0, 0.0, 16.0], [4.0, 12.0, 8.0, 8.0], [0.0, 0.0, 1.0, 1.0]);
-        let at =
-            |aspect: f64| minimum_curvature([&x, &y, &v], &axis, &axis, aspect, f64::INFINITY, f64::INFINITY, 4000, &Quiet).unwrap();
-        let turned =
-            |aspect: f64| minimum_curvature([&y, &x, &v], &axis, &axis, aspect, f64::INFINITY, f64::INFINITY, 4000, &Quiet).unwrap();
+        let at = |aspect: f64| {
+            minimum_curvature([&x, &y, &v], &axis, &axis, aspect, f64::INFINITY, f64::INFINITY, 4000, &Quiet).unwrap()
+        };
+        let turned = |aspect: f64| {
+            minimum_curvature([&y, &x, &v], &axis, &axis, aspect, f64::INFINITY, f64::INFINITY, 4000, &Quiet).unwrap()
+        };
         let (wide, tall) = (at(2.0), turned(0.5));
         let mut worst = 0.0_f64;
         for r in 0..17 {
@@ -251,7 +254,10 @@ mod tests {
     #[test]
     fn points_off_the_grid_are_refused() {
         let axis = Axis::new(0.0, 1.0, 5).unwrap();
-        assert!(minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 10, &Quiet).is_err());
+        assert!(
+            minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 10, &Quiet)
+                .is_err()
+        );
         assert!(distance_to_data(&[90.0], &[90.0], &axis, &axis, [1.0, 1.0]).is_err());
     }
 }

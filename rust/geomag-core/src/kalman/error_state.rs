@@ -3,16 +3,16 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::estimate::check_gate;
+use super::estimate::{Estimate, check_gate, noise_factor};
 use crate::error::{Error, Result, require_finite};
 
 /// A linear Kalman filter whose measurements must first pass a test.
 ///
-/// The state is an error, kept small by feeding it back; nothing here knows what kind.
+/// The state is an error, kept small by feeding it back; nothing here knows what kind. Mean and covariance are those of every other
+/// filter: an [`Estimate`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorStateFilter {
-    state: DVector<f64>,
-    covariance: DMatrix<f64>,
+    estimate: Estimate,
 }
 
 /// What became of a measurement.
@@ -25,53 +25,49 @@ pub struct Update {
 }
 
 impl ErrorStateFilter {
-    /// A filter from its first state and covariance.
+    /// A filter from its first state and covariance, which may be singular.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::NotPositiveDefinite`] for a covariance with a negative variance.
-    pub fn new(state: DVector<f64>, covariance: DMatrix<f64>) -> Result<Self> {
-        let n = state.len();
-        square("covariance", &covariance, n)?;
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::NotPositiveDefinite`] for a covariance that is none.
+    pub fn new(state: DVector<f64>, covariance: &DMatrix<f64>) -> Result<Self> {
         require_finite("state", state.as_slice())?;
-        require_finite("covariance", covariance.as_slice())?;
-        if let Some(i) = (0..n).find(|&i| covariance[(i, i)] < 0.0) {
-            return Err(Error::NotPositiveDefinite {
-                what: "covariance".into(),
-                detail: format!("variance {i} is {}", covariance[(i, i)]),
-            });
+        square("covariance", covariance, state.len())?;
+        Ok(Self { estimate: Estimate::known(state, covariance)? })
+    }
+
+    /// Refuses contents that no filter of `n` states can have.
+    pub(crate) fn check(&self, n: usize) -> Result<()> {
+        if self.estimate.len() != n {
+            return Err(Error::shape("state", format!("({n},)"), format!("({},)", self.estimate.len())));
         }
-        Ok(Self { state, covariance })
+        self.estimate.check()
     }
 
     /// The estimated error.
-    pub fn state(&self) -> &DVector<f64> {
-        &self.state
+    pub fn state(&self) -> &[f64] {
+        self.estimate.mean()
     }
 
     /// Its covariance.
-    pub fn covariance(&self) -> &DMatrix<f64> {
-        &self.covariance
+    pub fn covariance(&self) -> DMatrix<f64> {
+        self.estimate.covariance()
     }
 
     /// x <- F x, P <- F P F' + Q.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::NotFinite`].
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::NotPositiveDefinite`] for a noise that is no covariance.
     pub fn predict(&mut self, transition: &DMatrix<f64>, noise: &DMatrix<f64>) -> Result<()> {
-        let n = self.state.len();
+        let n = self.estimate.len();
         square("transition", transition, n)?;
         square("process noise", noise, n)?;
         require_finite("transition", transition.as_slice())?;
-        require_finite("process noise", noise.as_slice())?;
-        self.state = transition * &self.state;
-        self.covariance = symmetric(&(transition * &self.covariance * transition.transpose() + noise));
-        Ok(())
+        let noise = noise_factor("process noise", n, noise.as_slice())?;
+        let moved = transition * DVector::from_column_slice(self.estimate.mean());
+        self.estimate.move_linear(moved, transition, &noise)
     }
 
     /// Takes the measurement z = H x + v, cov v = R, if its normalised innovation squared is at most `gate`.
-    ///
-    /// The covariance is updated in Joseph's form, P <- (I - K H) P (I - K H)' + K R K', which stays positive
-    /// (Groves, eq. 3.58).
     ///
     /// # Errors
     /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (gate), [`Error::NotPositiveDefinite`] for an innovation
@@ -83,30 +79,17 @@ impl ErrorStateFilter {
         noise: &DMatrix<f64>,
         gate: f64,
     ) -> Result<Update> {
-        let (n, m) = (self.state.len(), measurement.len());
+        let (n, m) = (self.estimate.len(), measurement.len());
         if matrix.shape() != (m, n) {
             return Err(Error::shape("measurement matrix", format!("({m}, {n})"), format!("{:?}", matrix.shape())));
         }
         square("measurement noise", noise, m)?;
         require_finite("measurement", measurement.as_slice())?;
         check_gate(Some(gate))?;
-        require_finite("measurement noise", noise.as_slice())?;
-        let innovation = measurement - matrix * &self.state;
-        let spread = symmetric(&(matrix * &self.covariance * matrix.transpose() + noise));
-        let factor = spread.cholesky().ok_or_else(|| Error::NotPositiveDefinite {
-            what: "innovation covariance".into(),
-            detail: "H P H' + R has no Cholesky factor".into(),
-        })?;
-        let nis = innovation.dot(&factor.solve(&innovation));
-        if nis.is_nan() || nis > gate {
-            return Ok(Update { nis, accepted: false });
-        }
-        // K' = S^-1 H P.
-        let gain = factor.solve(&(matrix * &self.covariance)).transpose();
-        self.state += &gain * innovation;
-        let left = DMatrix::identity(n, n) - &gain * matrix;
-        self.covariance = symmetric(&(&left * &self.covariance * left.transpose() + &gain * noise * gain.transpose()));
-        Ok(Update { nis, accepted: true })
+        let noise = noise_factor("measurement noise", m, noise.as_slice())?;
+        let residual = measurement - matrix * DVector::from_column_slice(self.estimate.mean());
+        let innovation = self.estimate.correct_linear(residual, matrix, &noise, Some(gate))?;
+        Ok(Update { nis: innovation.nis, accepted: innovation.accepted })
     }
 }
 
@@ -116,8 +99,4 @@ fn square(what: &str, matrix: &DMatrix<f64>, n: usize) -> Result<()> {
     } else {
         Err(Error::shape(what, format!("({n}, {n})"), format!("{:?}", matrix.shape())))
     }
-}
-
-fn symmetric(matrix: &DMatrix<f64>) -> DMatrix<f64> {
-    0.5 * (matrix + matrix.transpose())
 }

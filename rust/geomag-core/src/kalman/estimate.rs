@@ -49,6 +49,24 @@ pub struct Innovation {
     pub accepted: bool,
 }
 
+impl Innovation {
+    /// Refuses an innovation that a filter of `n` states cannot have had.
+    pub(super) fn check(&self, n: usize) -> Result<()> {
+        let m = self.residual.len();
+        let shapes = [("innovation covariance", self.covariance.shape(), m), ("gain", self.gain.shape(), n)];
+        for (what, shape, rows) in shapes {
+            if m == 0 || m > super::MAX_STATES || shape != (rows, m) {
+                return Err(Error::shape(what, format!("({rows}, {m})"), format!("{shape:?}")));
+            }
+        }
+        require_finite("innovation", self.residual.as_slice())?;
+        if self.nis.is_nan() || self.nis < 0.0 {
+            return Err(Error::invalid("normalised innovation squared", "a number >= 0", self.nis));
+        }
+        Ok(())
+    }
+}
+
 impl Estimate {
     /// From a mean of n numbers and a symmetric positive definite covariance, row-major, n x n.
     ///
@@ -69,6 +87,35 @@ impl Estimate {
         let covariance = square("covariance P", n, covariance)?;
         let (factor, regularised) = factorise("covariance P", &covariance)?;
         Ok(Self { mean: DVector::from_column_slice(mean), factor, regularisations: u64::from(regularised) })
+    }
+
+    /// Refuses an estimate that no filter can have made.
+    pub(crate) fn check(&self) -> Result<()> {
+        let n = self.mean.len();
+        if n == 0 || n > super::MAX_STATES {
+            return Err(Error::shape("state x", format!("1 to {} numbers", super::MAX_STATES), n));
+        }
+        if self.factor.shape() != (n, n) {
+            let got = format!("{:?}", self.factor.shape());
+            return Err(Error::shape("factor of the covariance", format!("({n}, {n})"), got));
+        }
+        require_finite("state x", self.mean.as_slice())?;
+        require_finite("factor of the covariance", self.factor.as_slice())?;
+        for j in 0..n {
+            if self.factor[(j, j)] < 0.0 || (0..j).any(|i| self.factor[(i, j)] != 0.0) {
+                let needed = "a lower triangle with a diagonal >= 0";
+                return Err(Error::invalid(format!("factor of the covariance, column {j}"), needed, "another matrix"));
+            }
+        }
+        Ok(())
+    }
+
+    /// From a mean and a covariance that may be singular: what is known for certain has no variance.
+    pub(super) fn known(mean: DVector<f64>, covariance: &DMatrix<f64>) -> Result<Self> {
+        let factor = noise_factor("covariance", mean.len(), covariance.as_slice())?;
+        let estimate = Self { mean, factor, regularisations: 0 };
+        estimate.check()?;
+        Ok(estimate)
     }
 
     /// Takes a new mean and covariance of the same size; regularisations go on being counted.
@@ -201,6 +248,37 @@ impl Estimate {
             self.regularisations += u64::from(raised);
         }
         Ok(innovation)
+    }
+
+    /// Moves the state to `mean` with the matrix of a linear (or linearised) motion and the factor of its noise.
+    pub(super) fn move_linear(
+        &mut self,
+        mean: DVector<f64>,
+        matrix: &DMatrix<f64>,
+        noise: &DMatrix<f64>,
+    ) -> Result<()> {
+        let n = self.len();
+        let mut columns = DMatrix::zeros(n, 2 * n);
+        columns.view_mut((0, 0), (n, n)).copy_from(&(matrix * &self.factor));
+        columns.view_mut((0, n), (n, n)).copy_from(noise);
+        self.replace(mean, &columns)
+    }
+
+    /// Corrects the state with a measurement whose matrix (or Jacobian) and factor of noise are given: the one linear update of all
+    /// filters.
+    pub(super) fn correct_linear(
+        &mut self,
+        residual: DVector<f64>,
+        matrix: &DMatrix<f64>,
+        noise: &DMatrix<f64>,
+        gate: Option<f64>,
+    ) -> Result<Innovation> {
+        let (m, n) = (residual.len(), self.len());
+        let mut joint = DMatrix::zeros(m + n, n + m);
+        joint.view_mut((0, 0), (m, n)).copy_from(&(matrix * &self.factor));
+        joint.view_mut((m, 0), (n, n)).copy_from(&self.factor);
+        joint.view_mut((0, n), (m, m)).copy_from(noise);
+        self.correct(residual, &joint, gate)
     }
 
     /// The textbook form, for weights under which the columns of [`Estimate::correct`] would be imaginary.

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::estimate::{Estimate, Innovation, check_gate, noise_factor};
 use crate::error::{Error, Result, require_finite};
+use crate::state::Saved;
 
 /// An extended Kalman filter: the caller gives predicted values and their Jacobians.
 ///
@@ -23,6 +24,15 @@ use crate::error::{Error, Result, require_finite};
 pub struct ExtendedKalmanFilter {
     estimate: Estimate,
     innovation: Option<Innovation>,
+}
+
+impl Saved for ExtendedKalmanFilter {
+    const NAME: &'static str = "ExtendedKalmanFilter";
+
+    fn check(&self) -> Result<()> {
+        self.estimate.check()?;
+        self.innovation.as_ref().map_or(Ok(()), |i| i.check(self.estimate.len()))
+    }
 }
 
 impl ExtendedKalmanFilter {
@@ -71,10 +81,7 @@ impl ExtendedKalmanFilter {
         }
         let jacobian = rectangle("Jacobian of the motion", n, n, jacobian)?;
         let noise = noise_factor("process noise Q", n, q)?;
-        let mut columns = DMatrix::zeros(n, 2 * n);
-        columns.view_mut((0, 0), (n, n)).copy_from(&(jacobian * &self.estimate.factor));
-        columns.view_mut((0, n), (n, n)).copy_from(&noise);
-        self.estimate.replace(DVector::from_column_slice(state), &columns)
+        self.estimate.move_linear(DVector::from_column_slice(state), &jacobian, &noise)
     }
 
     /// Takes in a measurement `z` expected to be `expected = h(x)` with the Jacobian of `h` (row-major, m x n) and noise
@@ -103,12 +110,8 @@ impl ExtendedKalmanFilter {
         check_gate(gate)?;
         let jacobian = rectangle("Jacobian of the measurement", m, n, jacobian)?;
         let noise = noise_factor("measurement noise R", m, r)?;
-        let mut joint = DMatrix::zeros(m + n, n + m);
-        joint.view_mut((0, 0), (m, n)).copy_from(&(jacobian * &self.estimate.factor));
-        joint.view_mut((m, 0), (n, n)).copy_from(&self.estimate.factor);
-        joint.view_mut((0, n), (m, m)).copy_from(&noise);
         let residual = DVector::from_iterator(m, z.iter().zip(expected).map(|(z, e)| z - e));
-        let innovation = self.estimate.correct(residual, &joint, gate)?;
+        let innovation = self.estimate.correct_linear(residual, &jacobian, &noise, gate)?;
         Ok(self.innovation.insert(innovation))
     }
 }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::estimate::{Estimate, Innovation, check_gate, noise_factor, outer};
 use crate::error::{Error, Result, require_finite, require_positive};
+use crate::state::Saved;
 
 /// How far the sigma points lie from the mean and how the centre is weighted (Julier 2002; Wan & van der Merwe 2000).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -60,6 +61,16 @@ pub struct UnscentedKalmanFilter {
     estimate: Estimate,
     scaling: Scaling,
     innovation: Option<Innovation>,
+}
+
+impl Saved for UnscentedKalmanFilter {
+    const NAME: &'static str = "UnscentedKalmanFilter";
+
+    fn check(&self) -> Result<()> {
+        self.estimate.check()?;
+        self.scaling.validate(self.estimate.len())?;
+        self.innovation.as_ref().map_or(Ok(()), |i| i.check(self.estimate.len()))
+    }
 }
 
 impl UnscentedKalmanFilter {

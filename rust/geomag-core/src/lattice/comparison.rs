@@ -114,8 +114,16 @@ impl<'a> Comparison<'a> {
     /// # Errors
     /// [`Error::NotFinite`] for an offset that is no number.
     pub fn at_offset(&self, offset: [f64; 2]) -> Result<Self> {
+        self.around(offset, [0; 2], self.lattice.step)
+    }
+
+    /// The same comparison over a lattice of its own about an offset.
+    ///
+    /// # Errors
+    /// [`Error::NotFinite`] for an offset that is no number.
+    pub fn around(&self, offset: [f64; 2], half: [usize; 2], step: [f64; 2]) -> Result<Self> {
         crate::error::require_finite("offset", &offset)?;
-        let lattice = OffsetLattice { half: [0; 2], step: self.lattice.step };
+        let lattice = OffsetLattice { half, step };
         let points = self.points.iter().map(|p| [p[0] + offset[0], p[1] + offset[1]]).collect();
         Ok(Self { lattice, points, ..self.clone() })
     }

@@ -1,5 +1,6 @@
 //! The closest point of a contour line: marching squares, outwards from the point that asks.
 
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues};
@@ -38,6 +39,7 @@ pub struct ContourPoint {
 /// ```
 pub fn closest_contour_point(map: &GridMap, x: f64, y: f64, value: f64, radius_m: f64) -> Result<Option<ContourPoint>> {
     require_finite("contour point [x, y]", &[x, y])?;
+    require_place("contour point", map.geographic(), [x, y])?;
     require_finite("contour value", &[value])?;
     check_radius(radius_m)?;
     let cell_m = cell_size_m(map, y);

@@ -8,14 +8,17 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_place;
 use crate::constants::LN_SQRT_2PI;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive, room};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
 use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
+use crate::matching::stream::{Sample, Step, Stream};
 use crate::monitor::{Monitor, Quiet};
 use crate::stack::{Storey, check_heights, extent};
+use crate::state::Saved;
 use crate::track::Track;
 
 /// The gate of the paper, in standard deviations.
@@ -68,6 +71,15 @@ impl IemaOptions {
             gate: GATE,
             max_candidates: DEFAULT_MAX_CANDIDATES,
         }
+    }
+
+    fn check(&self) -> Result<()> {
+        require_positive("sigma", self.sigma)?;
+        require_positive("gate", self.gate)?;
+        for (d, axis) in ["x", "y"].iter().enumerate() {
+            require_not_negative(&format!("tolerance {axis}"), self.tolerance[d])?;
+        }
+        Ok(())
     }
 }
 
@@ -153,8 +165,43 @@ pub struct Iema {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct State {
     n_samples: usize,
+    /// Indicated position of the newest sample.
+    newest: Option<[f64; 2]>,
     /// `None` until the first sample: all are feasible and untested, and need no memory yet.
     feasible: Option<Vec<Candidate>>,
+}
+
+/// What is saved: everything but the map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Saving {
+    options: IemaOptions,
+    state: State,
+}
+
+impl Saved for Saving {
+    const NAME: &'static str = "Iema";
+
+    fn check(&self) -> Result<()> {
+        self.options.check()?;
+        if let Some(newest) = self.state.newest {
+            require_place("newest", false, newest)?;
+        }
+        let Some(list) = &self.state.feasible else {
+            return match self.state.n_samples {
+                0 => Ok(()),
+                n => Err(Error::invalid("samples seen", "0 before the first", n)),
+            };
+        };
+        if list.windows(2).any(|w| (w[0].row, w[0].column) >= (w[1].row, w[1].column)) {
+            return Err(Error::invalid("candidates", "row by row, each once", "another order"));
+        }
+        match list.iter().find(|c| !c.log_score.is_finite() || c.misses > self.options.max_misses) {
+            None => Ok(()),
+            Some(c) => {
+                Err(Error::invalid("candidate", "a finite score and no more misses than allowed", format!("{c:?}")))
+            }
+        }
+    }
 }
 
 impl Iema {
@@ -164,15 +211,18 @@ impl Iema {
     /// [`Error::Invalid`] for a sigma, step or gate that is not positive or a negative bound or tolerance,
     /// [`Error::TooManyCandidates`].
     pub fn new(field: Arc<dyn Field>, options: IemaOptions) -> Result<Self> {
-        require_positive("sigma", options.sigma)?;
-        require_positive("gate", options.gate)?;
-        for (d, axis) in ["x", "y"].iter().enumerate() {
-            require_not_negative(&format!("tolerance {axis}"), options.tolerance[d])?;
-        }
+        options.check()?;
         let lattice =
             OffsetLattice::new(options.half_width, options.step.unwrap_or(field.spacing()), options.max_candidates)?;
         let classes = field.layout().and_then(|grid| Classes::of(grid, lattice.step()));
-        Ok(Self { field, options, lattice, classes, state: State { n_samples: 0, feasible: None }, shifts: Vec::new() })
+        Ok(Self {
+            field,
+            options,
+            lattice,
+            classes,
+            state: State { n_samples: 0, newest: None, feasible: None },
+            shifts: Vec::new(),
+        })
     }
 
     /// The options.
@@ -221,7 +271,7 @@ impl Iema {
 
     /// Begins again: every candidate feasible, no sample seen.
     pub fn reset(&mut self) {
-        self.state = State { n_samples: 0, feasible: None };
+        self.state = State { n_samples: 0, newest: None, feasible: None };
     }
 
     /// Takes one sample: indicated position (map units) and measured value.
@@ -239,8 +289,7 @@ impl Iema {
     /// # Errors
     /// As [`Iema::update`]; [`Error::Invalid`] for a height that the map does not serve.
     pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<IemaStep> {
-        require_finite("indicated x", &[x])?;
-        require_finite("indicated y", &[y])?;
+        require_place("indicated", self.field.geographic(), [x, y])?;
         require_finite("value", &[value])?;
         if height_m.is_some() || self.field.as_stack().is_some() {
             let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
@@ -263,6 +312,7 @@ impl Iema {
         };
         self.state.feasible = Some(feasible);
         self.state.n_samples += 1;
+        self.state.newest = Some([x, y]);
         Ok(self.summary([x, y]))
     }
 
@@ -304,7 +354,7 @@ impl Iema {
     /// # Errors
     /// [`Error::State`].
     pub fn save(&self) -> Result<Vec<u8>> {
-        crate::state::save("Iema", &(&self.options, &self.state))
+        crate::state::save(&Saving { options: self.options.clone(), state: self.state.clone() })
     }
 
     /// A matcher that goes on, bit for bit, where [`Iema::save`] left.
@@ -312,7 +362,7 @@ impl Iema {
     /// # Errors
     /// [`Error::State`] for bytes that are no such state or do not fit the lattice.
     pub fn restore(field: Arc<dyn Field>, bytes: &[u8]) -> Result<Self> {
-        let (options, state): (IemaOptions, State) = crate::state::load("Iema", bytes)?;
+        let Saving { options, state } = crate::state::load(bytes)?;
         let mut iema = Self::new(field, options)?;
         let (rows, columns) = (iema.lattice.rows(), iema.lattice.columns());
         if state.feasible.iter().flatten().any(|c| c.row as usize >= rows || c.column as usize >= columns) {
@@ -578,5 +628,37 @@ impl<'a> Sampler<'a> {
                 }
             }
         }
+    }
+}
+
+impl Stream for Iema {
+    fn take(&mut self, sample: &Sample, _: &dyn Monitor) -> Result<Step> {
+        let Sample { place: [x, y], value, height_m } = *sample;
+        let step = self.update_at(x, y, value, height_m)?;
+        Ok(Step { status: step.status, fix: Some(step.fix(&*self.field)) })
+    }
+
+    fn answer(&self) -> Result<Fix> {
+        match self.state.newest {
+            None => Err(Error::TooFewSamples { what: "IEMA".into(), needed: 1, got: 0 }),
+            Some(indicated) => Ok(self.summary(indicated).fix(&*self.field)),
+        }
+    }
+
+    fn begin_again(&mut self) -> Result<()> {
+        self.reset();
+        Ok(())
+    }
+
+    fn seen(&self) -> usize {
+        self.state.n_samples
+    }
+
+    fn holds(&self) -> Option<usize> {
+        None
+    }
+
+    fn saved(&self) -> Result<Vec<u8>> {
+        self.save()
     }
 }

@@ -164,6 +164,7 @@ impl<'a> Scene<'a> {
                 return Err(Error::invalid("weights", "at least one weight > 0", "only zeros"));
             }
         }
+        track.require_on(first.map.geographic())?;
         let newest = track.newest();
         let levers = (0..n).map(|k| first.map.displacement_m(newest, track.point(k))).collect();
         let placements = channels

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
 use crate::monitor::{Monitor, Quiet};
+use crate::state::Saved;
 
 /// Delta modulation of a stream of values: a sample is chosen when the staircase lags it by another quantum.
 ///
@@ -37,6 +38,21 @@ pub struct DeltaStep {
     pub chosen: bool,
 }
 
+impl Saved for DeltaModulator {
+    const NAME: &'static str = "DeltaModulator";
+
+    fn check(&self) -> Result<()> {
+        require_positive("quantum", self.quantum)?;
+        if let Some(staircase) = self.staircase {
+            require_finite("staircase", &[staircase])?;
+        }
+        if (self.staircase.is_some(), self.code.is_some()) != (self.count > 0, self.count > 1) {
+            return Err(Error::invalid("values taken", "a staircase after one, a code after two", self.count));
+        }
+        Ok(())
+    }
+}
+
 impl DeltaModulator {
     /// A modulator with a quantum in the unit of the values.
     ///
@@ -66,6 +82,11 @@ impl DeltaModulator {
         let chosen = self.code == Some(code);
         self.code = Some(code);
         Ok(DeltaStep { number, code: Some(code), chosen })
+    }
+
+    /// Begins again: no value seen.
+    pub fn reset(&mut self) {
+        *self = Self { quantum: self.quantum, staircase: None, code: None, count: 0 };
     }
 
     /// The quantum.

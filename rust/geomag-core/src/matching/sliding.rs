@@ -1,9 +1,11 @@
 //! Contour matching over a sliding window: a fix a sample instead of a fix a batch [ICCP-G].
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
@@ -12,8 +14,10 @@ use crate::matching::contour::{ContourOptions, End, Iccp, motion_of, winner};
 use crate::matching::refine::answer;
 use crate::matching::scene::{Channel, Motion, Scene};
 use crate::matching::starts::Starts;
+use crate::matching::stream::{Sample, Step, Stream};
 use crate::matching::transform::Transform;
 use crate::monitor::{Monitor, Quiet};
+use crate::state::Saved;
 use crate::track::Track;
 
 /// A sample of the window with the sum of the estimates that were made of its displacement.
@@ -56,6 +60,47 @@ pub struct SlidingState {
     settled: Option<AveragedPoint>,
 }
 
+impl Saved for SlidingState {
+    const NAME: &'static str = "SlidingContour";
+
+    fn check(&self) -> Result<()> {
+        let Self { length, floor_m, sigma, options, .. } = self;
+        options.check()?;
+        require_positive("floor_m", *floor_m)?;
+        if let Some(sigma) = sigma {
+            crate::error::require_not_negative("sigma", *sigma)?;
+        }
+        let least = options.transform.min_points().max(2);
+        if *length < least {
+            return Err(Error::TooFewSamples {
+                what: format!("length of a sliding window under a {} transform", options.transform.as_str()),
+                needed: least,
+                got: *length,
+            });
+        }
+        if let Some(min_points) = options.min_points
+            && min_points > *length
+        {
+            let needed = format!("at most the {length} points of the window");
+            return Err(Error::invalid("min_points", needed, min_points));
+        }
+        if self.entries.len() > *length || self.entries.len() > self.count {
+            let needed = format!("at most the {length} of the window and the {} taken", self.count);
+            return Err(Error::invalid("samples", needed, self.entries.len()));
+        }
+        for (k, e) in self.entries.iter().enumerate() {
+            require_place(&format!("samples[{k}]"), false, [e.x, e.y])?;
+            require_finite(&format!("samples[{k}]"), &[e.value, e.weight, e.sum[0], e.sum[1]])?;
+        }
+        if let Some((transform, newest)) = &self.last {
+            require_finite("last transform", transform.matrix.as_flattened())?;
+            require_finite("last transform", &transform.shift)?;
+            require_place("last newest point", false, *newest)?;
+        }
+        Ok(())
+    }
+}
+
 impl SlidingState {
     /// An empty window of `length` samples.
     ///
@@ -66,26 +111,7 @@ impl SlidingState {
     /// Options that [`ContourOptions::check`] refuses, a length shorter than the transform or `min_points` needs, a floor
     /// that is not positive.
     pub fn new(length: usize, sigma: Option<f64>, floor_m: f64, options: ContourOptions) -> Result<Self> {
-        options.check()?;
-        require_positive("floor_m", floor_m)?;
-        if let Some(sigma) = sigma {
-            crate::error::require_not_negative("sigma", sigma)?;
-        }
-        let least = options.transform.min_points().max(2);
-        if length < least {
-            return Err(Error::TooFewSamples {
-                what: format!("length of a sliding window under a {} transform", options.transform.as_str()),
-                needed: least,
-                got: length,
-            });
-        }
-        if let Some(min_points) = options.min_points
-            && min_points > length
-        {
-            let needed = format!("at most the {length} points of the window");
-            return Err(Error::invalid("min_points", needed, min_points));
-        }
-        Ok(Self {
+        let state = Self {
             length,
             floor_m,
             sigma,
@@ -94,7 +120,9 @@ impl SlidingState {
             count: 0,
             last: None,
             settled: None,
-        })
+        };
+        state.check()?;
+        Ok(state)
     }
 
     /// Samples in a full window.
@@ -124,12 +152,12 @@ impl SlidingState {
     /// vehicle at rest under any but a translation) `uninformative`; there is no position then.
     ///
     /// # Errors
-    /// [`Error::NotFinite`] for a sample that is not finite; the window is as before.
+    /// [`Error::NotFinite`], [`Error::Invalid`] for a sample that is not finite or no place; the window is as before.
     pub fn update(&mut self, map: &GridMap, x: f64, y: f64, value: f64) -> Result<Fix> {
         self.update_monitored(map, x, y, value, &Quiet)
     }
 
-    /// [`SlidingState::update`] that can be watched and stopped; once stopped, the sample has been taken all the same.
+    /// [`SlidingState::update`] that can be watched and stopped; once stopped, the sample has not been taken.
     ///
     /// # Errors
     /// As [`SlidingState::update`], and [`Error::Interrupted`].
@@ -142,6 +170,15 @@ impl SlidingState {
         monitor: &dyn Monitor,
     ) -> Result<Fix> {
         require_finite("sample [x, y, value]", &[x, y, value])?;
+        require_place("sample", map.geographic(), [x, y])?;
+        // All or nothing: what is refused on the way leaves the window as it was.
+        let mut next = self.clone();
+        let fix = next.take(map, [x, y], value, monitor)?;
+        *self = next;
+        Ok(fix)
+    }
+
+    fn take(&mut self, map: &GridMap, [x, y]: [f64; 2], value: f64, monitor: &dyn Monitor) -> Result<Fix> {
         if self.entries.len() == self.length
             && let Some(oldest) = self.entries.pop_front()
         {
@@ -245,5 +282,71 @@ fn averaged(map: &GridMap, e: &Entry) -> AveragedPoint {
         x: map.wrap_x(e.x + mean(0) / east),
         y: e.y + mean(1) / north,
         estimates: e.estimates,
+    }
+}
+
+/// A sliding window with its map: what is fed sample by sample.
+#[derive(Debug, Clone)]
+pub struct SlidingContour {
+    map: Arc<GridMap>,
+    state: SlidingState,
+    newest: Option<Fix>,
+}
+
+impl SlidingContour {
+    /// A window on a map.
+    pub fn new(map: Arc<GridMap>, state: SlidingState) -> Self {
+        Self { map, state, newest: None }
+    }
+
+    /// A window that goes on where [`Stream::saved`] left off.
+    ///
+    /// # Errors
+    /// [`Error::State`].
+    pub fn restore(map: Arc<GridMap>, bytes: &[u8]) -> Result<Self> {
+        Ok(Self::new(map, crate::state::load(bytes)?))
+    }
+
+    /// What it remembers.
+    pub fn state(&self) -> &SlidingState {
+        &self.state
+    }
+
+    /// The samples of the window: see [`SlidingState::averaged`].
+    pub fn averaged(&self) -> Vec<AveragedPoint> {
+        self.state.averaged(&self.map)
+    }
+}
+
+impl Stream for SlidingContour {
+    fn take(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<Step> {
+        let Sample { place: [x, y], value, .. } = *sample;
+        let fix = self.state.update_monitored(&self.map, x, y, value, monitor)?;
+        self.newest = Some(fix.clone());
+        Ok(Step { status: fix.status, fix: Some(fix) })
+    }
+
+    fn answer(&self) -> Result<Fix> {
+        let none = || Error::TooFewSamples { what: "sliding window".into(), needed: 1, got: 0 };
+        self.newest.clone().ok_or_else(none)
+    }
+
+    fn begin_again(&mut self) -> Result<()> {
+        let s = &self.state;
+        self.state = SlidingState::new(s.length, s.sigma, s.floor_m, s.options.clone())?;
+        self.newest = None;
+        Ok(())
+    }
+
+    fn seen(&self) -> usize {
+        self.state.count
+    }
+
+    fn holds(&self) -> Option<usize> {
+        Some(self.state.length)
+    }
+
+    fn saved(&self) -> Result<Vec<u8>> {
+        crate::state::save(&self.state)
     }
 }

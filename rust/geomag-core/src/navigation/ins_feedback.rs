@@ -3,10 +3,12 @@
 use nalgebra::{DMatrix, DVector, dmatrix};
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
 use crate::fix::Fix;
 use crate::frame::{displacement_m, metres_per_degree};
 use crate::kalman::error_state::ErrorStateFilter;
+use crate::state::Saved;
 
 /// What is known of an INS: how wrong it is at the start, and how fast it gets worse.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -114,6 +116,23 @@ pub struct InsFeedback {
     refused: usize,
 }
 
+impl Saved for InsFeedback {
+    const NAME: &'static str = "InsFeedback";
+
+    fn check(&self) -> Result<()> {
+        self.model.check()?;
+        require_positive("gate", self.gate)?;
+        self.filter.check(5)?;
+        match self.last {
+            None => Ok(()),
+            Some((time_s, place)) => {
+                require_finite("time_s", &[time_s])?;
+                require_place("last", self.geographic, place)
+            }
+        }
+    }
+}
+
 impl InsFeedback {
     /// A filter of an INS with the given error model.
     ///
@@ -139,7 +158,7 @@ impl InsFeedback {
             geographic,
             // Chi-square with two degrees of freedom is exponential: its quantile is in closed form.
             gate: -2.0 * (1.0 - gate_probability).ln(),
-            filter: ErrorStateFilter::new(DVector::zeros(5), covariance)?,
+            filter: ErrorStateFilter::new(DVector::zeros(5), &covariance)?,
             last: None,
             accepted: 0,
             refused: 0,
@@ -161,6 +180,7 @@ impl InsFeedback {
         fix: Option<([f64; 2], [[f64; 2]; 2])>,
     ) -> Result<FeedbackStep> {
         require_finite("step [time_s, x, y]", &[time_s, x, y])?;
+        require_place("step", self.geographic, [x, y])?;
         if let Some((offset, covariance)) = &fix {
             require_finite("fix offset_m", offset)?;
             crate::kalman::symmetric("fix covariance_m2", 2, covariance.as_flattened())?;

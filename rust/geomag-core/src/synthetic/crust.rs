@@ -3,11 +3,13 @@
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
+use crate::bounds::{require_place, require_places};
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
 use crate::grid::{Axis, GridMap, GridValues};
 use crate::monitor::{Monitor, Quiet};
+use crate::state::Saved;
 use crate::synthetic::Random;
 
 /// Magnetic constant over four pi, in nT m^3 / (A m^2).
@@ -99,6 +101,19 @@ pub struct Dipole {
     pub moment_a_m2: f64,
 }
 
+impl PlaneWave {
+    fn check(&self) -> Result<()> {
+        require_finite("plane wave", &[self.k_rad_m[0], self.k_rad_m[1], self.amplitude, self.phase_rad])
+    }
+}
+
+impl Dipole {
+    fn check(&self) -> Result<()> {
+        require_finite("dipole", &[self.position_m[0], self.position_m[1], self.moment_a_m2])?;
+        require_positive("dipole depth_m", self.depth_m).map(drop)
+    }
+}
+
 /// A made-up field that is known at every point, so that a map of it has a true interpolation error.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SyntheticField {
@@ -114,6 +129,41 @@ pub struct SyntheticField {
     /// Unit vector of the main field, `[north, east, down]`.
     main_direction: [f64; 3],
     finest_m: f64,
+}
+
+/// Refuses an extent that no field can have.
+fn check_extent(extent: [f64; 4], geographic: bool) -> Result<()> {
+    require_places("field extent", geographic, &[extent[0], extent[2]], &[extent[1], extent[3]])?;
+    if !(extent[2] > extent[0] && extent[3] > extent[1]) {
+        return Err(Error::invalid(
+            "field extent",
+            "[x least, y least, x greatest, y greatest]",
+            format!("{extent:?}"),
+        ));
+    }
+    if geographic && (extent[1] < -89.0 || extent[3] > 89.0 || extent[2] - extent[0] > 360.0) {
+        return Err(Error::invalid(
+            "field extent",
+            "latitudes within [-89, 89] and at most one turn of longitude",
+            format!("{extent:?}"),
+        ));
+    }
+    Ok(())
+}
+
+impl Saved for SyntheticField {
+    const NAME: &'static str = "SyntheticField";
+
+    fn check(&self) -> Result<()> {
+        check_extent(self.extent, self.geographic)?;
+        require_place("field origin", self.geographic, self.origin)?;
+        require_positive("metres per unit", self.metres_per_unit[0].min(self.metres_per_unit[1]))?;
+        require_finite("field level and slope", &[self.level, self.slope_per_m[0], self.slope_per_m[1]])?;
+        require_finite("direction of the main field", &self.main_direction)?;
+        require_positive("finest detail", self.finest_m)?;
+        self.waves.iter().try_for_each(PlaneWave::check)?;
+        self.dipoles.iter().try_for_each(Dipole::check)
+    }
 }
 
 impl CrustSpec {
@@ -163,22 +213,8 @@ impl CrustSpec {
     /// [`Error::Invalid`] or [`Error::NotFinite`] naming the parameter.
     pub fn draw(&self, extent: [f64; 4], geographic: bool, seed: u64) -> Result<SyntheticField> {
         self.check()?;
-        require_finite("field extent", &extent)?;
-        if !(extent[2] > extent[0] && extent[3] > extent[1]) {
-            return Err(Error::invalid(
-                "field extent",
-                "[x least, y least, x greatest, y greatest]",
-                format!("{extent:?}"),
-            ));
-        }
+        check_extent(extent, geographic)?;
         let origin = [0.5 * (extent[0] + extent[2]), 0.5 * (extent[1] + extent[3])];
-        if geographic && (extent[1] < -89.0 || extent[3] > 89.0 || extent[2] - extent[0] > 360.0) {
-            return Err(Error::invalid(
-                "field extent",
-                "latitudes within [-89, 89] and at most one turn of longitude",
-                format!("{extent:?}"),
-            ));
-        }
         let metres_per_unit = if geographic { metres_per_degree(origin[1]) } else { [1.0, 1.0] };
         let (sin_i, cos_i) = sin_cos(self.inclination_deg.to_radians());
         let (sin_d, cos_d) = sin_cos(self.declination_deg.to_radians());

@@ -2,8 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_places;
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::frame::{displacement_m, metres_per_degree};
+use crate::state::Saved;
 
 /// Most samples that a path is made with.
 const MAX_SAMPLES: usize = 10_000_000;
@@ -26,13 +28,11 @@ pub struct Path {
     geographic: bool,
 }
 
-impl Path {
-    /// A path through given points.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] for unequal lengths, [`Error::TooFewSamples`] without a point, [`Error::NotFinite`],
-    /// [`Error::Invalid`] where time runs backwards.
-    pub fn from_points(x: Vec<f64>, y: Vec<f64>, time_s: Vec<f64>, geographic: bool) -> Result<Self> {
+impl Saved for Path {
+    const NAME: &'static str = "Path";
+
+    fn check(&self) -> Result<()> {
+        let Self { x, y, time_s, geographic } = self;
         let n = x.len();
         for (name, len) in [("y", y.len()), ("time_s", time_s.len())] {
             if len != n {
@@ -42,9 +42,8 @@ impl Path {
         if n == 0 {
             return Err(Error::TooFewSamples { what: "path".into(), needed: 1, got: 0 });
         }
-        require_finite("path x", &x)?;
-        require_finite("path y", &y)?;
-        require_finite("path time_s", &time_s)?;
+        require_places("path", *geographic, x, y)?;
+        require_finite("path time_s", time_s)?;
         if let Some(i) = time_s.windows(2).position(|w| w[1] < w[0]) {
             return Err(Error::invalid(
                 format!("path time_s[{}]", i + 1),
@@ -52,7 +51,20 @@ impl Path {
                 time_s[i + 1],
             ));
         }
-        Ok(Self { x, y, time_s, geographic })
+        Ok(())
+    }
+}
+
+impl Path {
+    /// A path through given points.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for unequal lengths, [`Error::TooFewSamples`] without a point, [`Error::NotFinite`],
+    /// [`Error::Invalid`] where time runs backwards.
+    pub fn from_points(x: Vec<f64>, y: Vec<f64>, time_s: Vec<f64>, geographic: bool) -> Result<Self> {
+        let path = Self { x, y, time_s, geographic };
+        path.check()?;
+        Ok(path)
     }
 
     /// A straight path of `samples` points (a rhumb line on geographic coordinates), the first at `start`.

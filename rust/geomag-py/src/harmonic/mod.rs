@@ -307,7 +307,7 @@ impl PyHarmonicModel {
         progress: Option<&Bound<'_, PyAny>>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyRes<Self> {
-        Self::fitted(py, &observations.snapshot(), threads, progress, options)
+        Self::fitted(py, &observations.snapshot(py), threads, progress, options)
     }
 
     /// Cross-validate orders, period ratios, ridges and priors without keeping a model.
@@ -341,7 +341,7 @@ impl PyHarmonicModel {
         progress: Option<&Bound<'py, PyAny>>,
         options: Option<&Bound<'py, PyDict>>,
     ) -> PyRes<(Bound<'py, PyDict>, Bound<'py, PyList>)> {
-        let observations = observations.snapshot();
+        let observations = observations.snapshot(py);
         let request = Request::new(&keywords(py, options)?)?;
         let found = long_call::run(py, request.units(observations.len()), threads, progress, |monitor| {
             select(&observations, &request.selection(), &request.options, monitor)
@@ -394,7 +394,7 @@ impl PyHarmonicModel {
         progress: Option<&Bound<'py, PyAny>>,
         options: Option<&Bound<'py, PyDict>>,
     ) -> PyRes<Bound<'py, PyDict>> {
-        let observations = observations.snapshot();
+        let observations = observations.snapshot(py);
         let request = Request::new(&keywords(py, options)?)?;
         let units = request.units(observations.len()).saturating_mul(request.folds as u64);
         let left = long_call::run(py, units, threads, progress, |monitor| {

@@ -1,7 +1,5 @@
 //! `FieldObservations`.
 
-use std::sync::{Mutex, PoisonError};
-
 use geomag_core::error::Error;
 use geomag_core::harmonic::Observations;
 use pyo3::prelude::*;
@@ -9,6 +7,7 @@ use pyo3::prelude::*;
 use super::{Points, flat, main_vectors, sigmas};
 use crate::error::PyRes;
 use crate::frame::vectors;
+use crate::lock::Shared;
 
 /// What a harmonic model is fitted to: any mixture of components, anomalies and intensities, each with its own weight.
 ///
@@ -24,22 +23,23 @@ use crate::frame::vectors;
 /// FieldObservations(7 numbers at 3 points)
 #[pyclass(frozen, name = "FieldObservations", module = "geomag")]
 pub struct PyFieldObservations {
-    inner: Mutex<Observations>,
+    inner: Shared<Observations>,
 }
 
 impl PyFieldObservations {
     /// What was added so far.
-    pub fn snapshot(&self) -> Observations {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    pub fn snapshot(&self, py: Python<'_>) -> Observations {
+        self.inner.with(py, |o| o.clone())
     }
 
-    fn change(&self, change: impl FnOnce(&mut Observations) -> Result<(), Error>) -> PyRes<()> {
-        // A failed addition must leave nothing behind.
-        let mut guard = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut copy = guard.clone();
-        change(&mut copy)?;
-        *guard = copy;
-        Ok(())
+    fn change(&self, py: Python<'_>, change: impl FnOnce(&mut Observations) -> Result<(), Error> + Send) -> PyRes<()> {
+        Ok(self.inner.with(py, |o| {
+            // A failed addition must leave nothing behind.
+            let mut copy = o.clone();
+            change(&mut copy)?;
+            *o = copy;
+            Ok::<(), Error>(())
+        })?)
     }
 }
 
@@ -47,7 +47,7 @@ impl PyFieldObservations {
 impl PyFieldObservations {
     #[new]
     fn new() -> Self {
-        Self { inner: Mutex::new(Observations::new()) }
+        Self { inner: Shared::new(Observations::new()) }
     }
 
     /// Adds components `field` (n, 3), north, east, down in the axes of the frame, at points in the frame, metres; a NaN component
@@ -65,7 +65,8 @@ impl PyFieldObservations {
     ) -> PyRes<Bound<'py, Self>> {
         let points = Points::new(north_m, east_m, down_m)?;
         let (values, sigma) = (vectors("field", field)?.0, sigmas(sigma)?);
-        slf.get().change(|o| o.vector(&points.positions()?, &values, &sigma))?;
+        let positions = points.positions()?;
+        slf.get().change(slf.py(), |o| o.vector(&positions, &values, &sigma))?;
         Ok(slf)
     }
 
@@ -84,7 +85,8 @@ impl PyFieldObservations {
     ) -> PyRes<Bound<'py, Self>> {
         let points = Points::new(north_m, east_m, down_m)?;
         let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
-        slf.get().change(|o| o.anomaly(&points.positions()?, &values, &main, &sigma))?;
+        let positions = points.positions()?;
+        slf.get().change(slf.py(), |o| o.anomaly(&positions, &values, &main, &sigma))?;
         Ok(slf)
     }
 
@@ -102,16 +104,16 @@ impl PyFieldObservations {
     ) -> PyRes<Bound<'py, Self>> {
         let points = Points::new(north_m, east_m, down_m)?;
         let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
-        slf.get().change(|o| o.intensity(&points.positions()?, &values, &main, &sigma))?;
+        let positions = points.positions()?;
+        slf.get().change(slf.py(), |o| o.intensity(&positions, &values, &main, &sigma))?;
         Ok(slf)
     }
 
-    fn __len__(&self) -> usize {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner).len()
+    fn __len__(&self, py: Python<'_>) -> usize {
+        self.inner.with(py, |o| o.len())
     }
 
-    fn __repr__(&self) -> String {
-        let inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
-        format!("FieldObservations({} numbers at {} points)", inner.len(), inner.point_count())
+    fn __repr__(&self, py: Python<'_>) -> String {
+        self.inner.with(py, |o| format!("FieldObservations({} numbers at {} points)", o.len(), o.point_count()))
     }
 }

@@ -1,6 +1,6 @@
 //! The closed-form transform under constraints: priors and a greatest rotation.
 
-use super::iccp::Iccp;
+use super::options::ContourOptions;
 use crate::matching::transform::{Transform, TransformKind};
 
 /// Points and where they should go.
@@ -28,10 +28,10 @@ impl Pairs {
     }
 }
 
-impl Iccp<'_> {
+impl ContourOptions {
     /// Inverse variances of east, north, rotation and scale as this kind of transform has them.
     fn prior_information(&self) -> [f64; 4] {
-        let p = &self.options.refinement.priors;
+        let p = &self.refinement.priors;
         let inverse = |s: Option<f64>| s.map_or(0.0, |s| 1.0 / (s * s));
         let offset = inverse(p.offset_sigma_m);
         [offset, offset, inverse(p.heading_sigma_deg.map(f64::to_radians)), inverse(p.scale_sigma)]
@@ -46,7 +46,7 @@ impl Iccp<'_> {
     /// whose only nonlinearity is the rotation's.
     pub(super) fn fit_with_priors(&self, pairs: &Pairs, free: &Transform, information: f64) -> Transform {
         let prior = self.prior_information();
-        let used = match self.options.transform {
+        let used = match self.transform {
             TransformKind::Translation => 2,
             TransformKind::Rigid => 3,
             TransformKind::Similarity | TransformKind::Affine => 4,
@@ -85,9 +85,9 @@ impl Iccp<'_> {
 
     /// The transform with its rotation held within the cap, the centroid of the points going where it went.
     pub(super) fn cap_rotation(&self, t: Transform, pairs: &Pairs) -> Transform {
-        let Some(cap) = self.options.max_rotation_deg else { return t };
+        let Some(cap) = self.max_rotation_deg else { return t };
         let (rotation, cap) = (t.rotation_rad(), cap.to_radians());
-        if rotation.abs() <= cap || self.options.transform == TransformKind::Affine {
+        if rotation.abs() <= cap || self.transform == TransformKind::Affine {
             return t;
         }
         let (mut weight, mut centre) = (0.0, [0.0; 2]);

@@ -272,12 +272,12 @@ impl<'a> Iccp<'a> {
             // Where sigma is not known the contour distances themselves say how far they can be trusted.
             let information =
                 self.distance_information.unwrap_or_else(|| 1.0 / distance_squared.max(f64::MIN_POSITIVE));
-            objective += self.prior_penalty(t) / information;
-            self.fit_with_priors(pairs, &fitted, information)
+            objective += self.options.prior_penalty(t) / information;
+            self.options.fit_with_priors(pairs, &fitted, information)
         } else {
             fitted
         };
-        Ok(Look { next: self.cap_rotation(next, pairs), objective, reached, distance_squared })
+        Ok(Look { next: self.options.cap_rotation(next, pairs), objective, reached, distance_squared })
     }
 
     /// Coordinates of a transform, all of them metres, in which an extrapolation stays of its kind.

@@ -44,6 +44,7 @@ use std::sync::Arc;
 use crate::error::Result;
 use crate::field::Field;
 use crate::fix::Fix;
+use crate::matching::stream::feed;
 use crate::monitor::{Monitor, Quiet};
 use crate::stack::{Served, read_heights, served};
 use crate::track::Track;
@@ -192,19 +193,7 @@ pub fn stream_many(
             .par_iter()
             .map(|track| {
                 let mut matcher = PosteriorMatcher::new(field.clone(), sigma, options.clone(), track.len().max(3))?;
-                for k in 0..track.len() {
-                    here.advance(0, 0)?;
-                    let step = matcher.update_at(
-                        track.x()[k],
-                        track.y()[k],
-                        track.values()[k],
-                        track.height_m().map(|h| h[k]),
-                    )?;
-                    if let Some(fix) = step.fix.filter(Fix::ok) {
-                        return Ok(fix);
-                    }
-                }
-                matcher.fix()
+                feed(&mut matcher, track, false, &here)
             })
             .collect();
         fixes.extend(some?);

@@ -159,6 +159,7 @@ impl<'a> Problem<'a> {
             return Err(Error::invalid("channels", "at least one map with its values", "none"));
         };
         let field = first.field;
+        track.require_on(field.geographic())?;
         let n = track.len();
         let positions: Vec<[f64; 2]> = (0..n).map(|k| [field.wrap_x(track.x()[k]), track.y()[k]]).collect();
         let middle = positions.iter().map(|p| p[1]).sum::<f64>() / n as f64;
@@ -421,7 +422,7 @@ impl<'a> Problem<'a> {
         let setup = self.setup(channel, 0, [0.0, 0.0]);
         let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
         let (map_sigma, distance) = self.along(channel);
-        
+
         let (share, temper) = channel.temper(&level, distance, channel.mean_variance(&map_sigma), self.spacing_m);
         let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };

@@ -15,11 +15,14 @@ use super::nuisance::reach_m;
 use super::patch::Patch;
 use super::problem::Problem;
 use super::search::Lattice;
-use crate::error::{Error, Result, require_finite};
+use crate::bounds::{require_place, require_places};
+use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
+use crate::matching::stream::{Sample, Step, Stream};
+use crate::monitor::Monitor;
 use crate::stack::{Storey, check_heights, extent};
-use crate::state;
+use crate::state::{self, Saved};
 use crate::track::Track;
 
 /// Width of the gate in standard deviations of one sample.
@@ -38,6 +41,8 @@ const MOVED: f64 = 4.0;
 const SETTLED: f64 = 0.1;
 /// Name of the saved state.
 const NAME: &str = "PosteriorMatcher";
+/// Nodes of the field that are laid out for a saved state, which may ask for anything.
+const MOST_LAID_OUT: u64 = 1 << 24;
 
 /// What one sample did.
 #[derive(Debug, Clone, PartialEq)]
@@ -75,6 +80,36 @@ struct State {
     risk: f64,
     /// The box of the map that is laid out, x from and to, y from and to: what is linear depends on it.
     window: Option<[f64; 4]>,
+}
+
+impl Saved for State {
+    const NAME: &'static str = NAME;
+
+    fn check(&self) -> Result<()> {
+        self.options.validate()?;
+        let n = self.x.len();
+        if [self.y.len(), self.values.len()] != [n, n] {
+            let got = format!("{} and {}", self.y.len(), self.values.len());
+            return Err(Error::shape("samples: y and values", format!("({n},) as x"), got));
+        }
+        require_places("samples", false, &self.x, &self.y)?;
+        require_finite("values", &self.values)?;
+        if self.max_samples < FEWEST || n > self.max_samples || n > self.seen {
+            let got = format!("{n} held, {} seen, {} at most", self.seen, self.max_samples);
+            return Err(Error::invalid("samples", "no more held than seen and than may be held", got));
+        }
+        require_not_negative("movement", self.moved_m)?;
+        if !(0.0..=1.0).contains(&self.risk) {
+            return Err(Error::invalid("risk", "a probability", self.risk));
+        }
+        if let Some([west, east, south, north]) = self.window {
+            require_finite("window", &[west, east, south, north])?;
+            if !(west <= east && south <= north) {
+                return Err(Error::invalid("window", "from less to more", format!("{:?}", self.window)));
+            }
+        }
+        Ok(())
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -184,7 +219,8 @@ impl PosteriorMatcher {
     /// Takes one sample: indicated position in map units, measured value.
     ///
     /// # Errors
-    /// [`Error::NotFinite`] for a bad sample, which is not taken.
+    /// [`Error::NotFinite`], [`Error::Invalid`] for a bad sample, [`Error::TooManyCandidates`] for one that would need too large a
+    /// window of the field. It is then not taken: the matcher is as before.
     pub fn update(&mut self, x: f64, y: f64, value: f64) -> Result<PosteriorStep> {
         self.update_at(x, y, value, None)
     }
@@ -196,6 +232,7 @@ impl PosteriorMatcher {
     /// [`Error::NotFinite`], or [`Error::Invalid`] for a height that the map does not serve, for a bad sample, which is not taken.
     pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
         require_finite("sample (x, y, value)", &[x, y, value])?;
+        require_place("sample", self.field.geographic(), [x, y])?;
         let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
         check_heights(&*self.field, &sample)?;
         if let Some(height) = height_m
@@ -204,6 +241,14 @@ impl PosteriorMatcher {
             let needed = "a stack of levels, for what is laid out of this field is at its own level";
             return Err(Error::invalid("map", needed, format!("a sample at {height} m")));
         }
+        // All or nothing: a sample that is refused on the way leaves the matcher as it was.
+        let mut next = self.clone();
+        let step = next.take_sample(x, y, value, height_m)?;
+        *self = next;
+        Ok(step)
+    }
+
+    fn take_sample(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
         let s = &mut self.state;
         if !s.x.is_empty() && s.heights_m.is_empty() == height_m.is_some() {
             let needed =
@@ -305,7 +350,7 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::State`].
     pub fn save(&self) -> Result<Vec<u8>> {
-        state::save(NAME, &self.state)
+        state::save(&self.state)
     }
 
     /// A matcher on `field` that goes on where [`PosteriorMatcher::save`] left.
@@ -314,10 +359,9 @@ impl PosteriorMatcher {
     /// [`Error::State`] for bytes that are not such a state, or one that this map and these options cannot have; those of
     /// [`PosteriorMatcher::new`].
     pub fn load(field: Arc<dyn Field>, bytes: &[u8]) -> Result<Self> {
-        let saved: State = state::load(NAME, bytes)?;
-        let mut matcher = Self::new(field, saved.sigma, saved.options.clone(), saved.max_samples)?;
+        let saved: State = state::load(bytes)?;
         let refuse = |detail: &str| Err(Error::State { what: NAME.into(), detail: detail.into() });
-        let lattice = matcher.state.lattice;
+        let lattice = Lattice::new(field.spacing(), &saved.options)?;
         if saved.lattice != lattice {
             return refuse("its lattice is not that of this map");
         }
@@ -328,12 +372,8 @@ impl PosteriorMatcher {
         if !saved.candidates.iter().all(on_lattice) {
             return refuse("a candidate lies outside the lattice of this map");
         }
-        let n = saved.x.len();
-        let numbers = [&saved.x, &saved.y, &saved.values];
-        if numbers.iter().any(|a| a.len() != n || require_finite("samples", a).is_err()) || n > saved.max_samples {
-            return refuse("its samples are not finite, or not as many x as y as values");
-        }
-        let heights = &saved.heights_m;
+        let mut matcher = Self { field, state: saved, patch: None };
+        let (n, heights) = (matcher.state.x.len(), &matcher.state.heights_m);
         let served = matcher
             .field
             .as_stack()
@@ -343,18 +383,14 @@ impl PosteriorMatcher {
         if !(served && (heights.is_empty() || heights.len() == n) && require_finite("heights", heights).is_ok()) {
             return refuse("its heights are not those of this map");
         }
-        if n > saved.seen || !saved.moved_m.is_finite() {
-            return refuse("its counts do not fit its samples");
-        }
-        matcher.state = saved;
-        matcher.lay_out()?;
+        matcher.lay_out(matcher.state.options.max_candidates.min(MOST_LAID_OUT))?;
         Ok(matcher)
     }
 
     /// Lays out the map over the state's window.
-    fn lay_out(&mut self) -> Result<()> {
+    fn lay_out(&mut self, most: u64) -> Result<()> {
         let Some(b) = self.state.window else { return Ok(()) };
-        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], self.state.options.max_candidates)?;
+        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], most)?;
         self.patch = Some(Arc::new(patch));
         Ok(())
     }
@@ -413,7 +449,7 @@ impl PosteriorMatcher {
             let room = [half[0] + 0.25 * (needed[1] - needed[0]), half[1] + 0.25 * (needed[3] - needed[2])];
             self.state.window =
                 Some([needed[0] - room[0], needed[1] + room[0], needed[2] - room[1], needed[3] + room[1]]);
-            self.lay_out()?;
+            self.lay_out(self.state.options.max_candidates)?;
         }
         Ok(())
     }
@@ -527,6 +563,34 @@ impl PosteriorMatcher {
             }
             found
         });
+    }
+}
+
+impl Stream for PosteriorMatcher {
+    fn take(&mut self, sample: &Sample, _: &dyn Monitor) -> Result<Step> {
+        let Sample { place: [x, y], value, height_m } = *sample;
+        let step = self.update_at(x, y, value, height_m)?;
+        Ok(Step { status: step.status, fix: step.fix })
+    }
+
+    fn answer(&self) -> Result<Fix> {
+        self.fix()
+    }
+
+    fn begin_again(&mut self) -> Result<()> {
+        self.reset()
+    }
+
+    fn seen(&self) -> usize {
+        self.n_samples()
+    }
+
+    fn holds(&self) -> Option<usize> {
+        Some(self.state.max_samples)
+    }
+
+    fn saved(&self) -> Result<Vec<u8>> {
+        self.save()
     }
 }
 

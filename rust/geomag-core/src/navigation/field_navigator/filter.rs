@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{FieldNavigator, Method, NavigatorOptions, Outcome};
 use crate::error::{Error, Result};
 use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, UnscentedKalmanFilter};
+use crate::state::Saved;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) enum Filter {
@@ -14,6 +15,13 @@ pub(super) enum Filter {
 }
 
 impl Filter {
+    pub fn check(&self) -> Result<()> {
+        match self {
+            Self::Unscented(f) => f.check(),
+            Self::Extended(f) => f.check(),
+        }
+    }
+
     pub fn estimate(&self) -> &Estimate {
         match self {
             Self::Unscented(f) => f.estimate(),

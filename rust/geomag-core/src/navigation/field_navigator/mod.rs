@@ -14,8 +14,12 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use super::sensing::Sensing;
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite, require_not_negative};
-use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, UnscentedKalmanFilter, chi_square_quantile};
+use crate::kalman::{
+    Estimate, ExtendedKalmanFilter, Innovation, MAX_STATES, UnscentedKalmanFilter, chi_square_quantile,
+};
+use crate::state::Saved;
 use crate::statistics::chi_square_survival;
 use filter::{Filter, Layout};
 
@@ -25,6 +29,9 @@ const WINDOW: usize = 20;
 const MANY_REJECTIONS: u32 = 10;
 /// Probability with which an honest filter is called divergent at a step.
 const DIVERGENCE: f64 = 1e-5;
+
+/// Latitude beyond which east and north are no axes to count metres on.
+const MOST_LATITUDE_DEG: f64 = 89.9;
 
 /// Everything that changes from step to step, and what was asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -76,6 +83,33 @@ pub struct FieldNavigator {
     state: State,
 }
 
+impl Saved for State {
+    const NAME: &'static str = "FieldNavigator";
+
+    fn check(&self) -> Result<()> {
+        let numbers = match self.layout.bias {
+            Some(first) => self.layout.len.saturating_sub(first),
+            None => self.options.reading_sigma.len(),
+        };
+        if numbers > MAX_STATES {
+            return Err(Error::invalid("numbers in a reading", format!("at most {MAX_STATES}"), numbers));
+        }
+        self.options.check(numbers)?;
+        if self.layout != Layout::new(&self.options, numbers) {
+            return Err(Error::invalid("states", "those of the options", format!("{:?}", self.layout)));
+        }
+        self.filter.check()?;
+        require_place("anchor", false, self.anchor)?;
+        require_not_negative("time_s", self.time_s)?;
+        let odd = |w: &(f64, usize)| !(w.0 >= 0.0) || w.1 == 0 || w.1 > MAX_STATES;
+        if self.window.len() > WINDOW || self.next >= WINDOW || self.window.iter().any(odd) {
+            let needed = format!("at most {WINDOW} numbers >= 0");
+            return Err(Error::invalid("innovations", needed, format!("{:?}", self.window)));
+        }
+        Ok(())
+    }
+}
+
 impl FieldNavigator {
     /// A navigator at its start.
     ///
@@ -83,31 +117,12 @@ impl FieldNavigator {
     /// [`Error::Invalid`], [`Error::NotFinite`], [`Error::Shape`], [`Error::NotPositiveDefinite`] for options that make no
     /// filter.
     pub fn new(sensing: Sensing, options: NavigatorOptions) -> Result<Self> {
-        require_finite("start", &options.start)?;
-        for (name, value) in [
-            ("position_noise_m2_s", options.position_noise_m2_s),
-            ("speed_sigma_m_s", options.speed_sigma_m_s),
-            ("speed_walk", options.speed_walk),
-            ("heading_sigma_deg", options.heading_sigma_deg),
-            ("heading_walk_deg", options.heading_walk_deg),
-            ("bias_sigma", options.bias_sigma),
-            ("bias_walk", options.bias_walk),
-        ] {
-            require_not_negative(name, value)?;
-        }
         let numbers = sensing.len();
-        if options.reading_sigma.len() != 1 && options.reading_sigma.len() != numbers {
-            return Err(Error::shape(
-                "reading_sigma",
-                format!("a number or ({numbers},)"),
-                format!("({},)", options.reading_sigma.len()),
-            ));
-        }
-        for (i, &sigma) in options.reading_sigma.iter().enumerate() {
-            require_not_negative(&format!("reading_sigma[{i}]"), sigma)?;
-        }
-        if sensing.geographic() && options.start[1].abs() > 89.9 {
-            return Err(Error::invalid("start", "a latitude within 89.9 degrees of the equator", options.start[1]));
+        options.check(numbers)?;
+        require_place("start", sensing.geographic(), options.start)?;
+        if sensing.geographic() && options.start[1].abs() > MOST_LATITUDE_DEG {
+            let needed = format!("a latitude within {MOST_LATITUDE_DEG} degrees of the equator");
+            return Err(Error::invalid("start", needed, options.start[1]));
         }
         let layout = Layout::new(&options, numbers);
         let n = layout.len;
@@ -175,7 +190,7 @@ impl FieldNavigator {
     /// # Errors
     /// [`Error::State`].
     pub fn save(&self) -> Result<Vec<u8>> {
-        crate::state::save("FieldNavigator", &self.state)
+        crate::state::save(&self.state)
     }
 
     /// A navigator that goes on where [`FieldNavigator::save`] left off, bit for bit, on the same field.
@@ -183,7 +198,7 @@ impl FieldNavigator {
     /// # Errors
     /// [`Error::State`].
     pub fn restore(sensing: Sensing, bytes: &[u8]) -> Result<Self> {
-        Self::from_state(sensing, crate::state::load("FieldNavigator", bytes)?)
+        Self::from_state(sensing, crate::state::load(bytes)?)
     }
 
     /// What is read, and of what.
@@ -273,7 +288,8 @@ impl FieldNavigator {
     ///
     /// # Errors
     /// [`Error::NotFinite`], [`Error::Invalid`] (time running backwards), [`Error::Shape`] (another number of components
-    /// than the sensor has), [`Error::NotPositiveDefinite`]. After an error in the reading the prediction stands.
+    /// than the sensor has), [`Error::NotPositiveDefinite`]; [`Error::Invalid`] where the way leads off the Earth or within a tenth
+    /// of a degree of a pole. After an error nothing has moved.
     pub fn step(
         &mut self,
         dt_s: f64,
@@ -292,7 +308,19 @@ impl FieldNavigator {
                 return Err(Error::NotFinite { what: "reading".into(), index, got: reading[index] });
             }
         }
+        // All or nothing: after an error nothing has moved.
+        let before = self.state.clone();
+        let step = self.take(dt_s, [speed_m_s, course_deg], reading);
+        if step.is_err() {
+            self.state = before;
+        }
+        step
+    }
+
+    fn take(&mut self, dt_s: f64, [speed_m_s, course_deg]: [f64; 2], reading: Option<&[f64]>) -> Result<NavigatorStep> {
+        let numbers = self.sensing.len();
         self.predict(dt_s, speed_m_s, course_deg)?;
+        self.require_room()?;
         self.state.time_s += dt_s;
         self.state.steps += 1;
         let kept: Vec<usize> = reading.map_or_else(Vec::new, |r| (0..numbers).filter(|&k| !r[k].is_nan()).collect());
@@ -315,6 +343,7 @@ impl FieldNavigator {
             Outcome::Rejected => self.state.rejections = self.state.rejections.saturating_add(1),
             Outcome::Predicted | Outcome::OffField => {}
         }
+        self.require_room()?;
         self.follow();
         let [x, y] = self.position();
         Ok(NavigatorStep {
@@ -361,6 +390,20 @@ impl FieldNavigator {
             out.push([[p[(0, 0)], p[(0, 1)]], [p[(1, 0)], p[(1, 1)]]]);
         }
         Ok(out)
+    }
+
+    /// Refuses a place where there is no Earth, or none that its metres can be counted on.
+    fn require_room(&self) -> Result<()> {
+        let mean = self.state.filter.estimate().mean();
+        let [ax, ay] = self.state.anchor;
+        let scale = self.sensing.metres_per_unit(ay);
+        let place = [ax + mean[0] / scale[0], ay + mean[1] / scale[1]];
+        require_place("position", self.sensing.geographic(), place)?;
+        if self.sensing.geographic() && place[1].abs() > MOST_LATITUDE_DEG {
+            let needed = format!("a latitude within {MOST_LATITUDE_DEG} degrees of the equator");
+            return Err(Error::invalid("position y", needed, place[1]));
+        }
+        Ok(())
     }
 
     /// Map coordinates of a state's east and north.

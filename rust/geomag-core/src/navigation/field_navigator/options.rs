@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::kalman::Scaling;
 
 /// Which filter carries the state.
@@ -68,5 +69,35 @@ impl Default for NavigatorOptions {
             method: Method::Unscented,
             scaling: Scaling::default(),
         }
+    }
+}
+
+impl NavigatorOptions {
+    /// Refuses options that make no filter of a sensor of so many numbers.
+    pub(super) fn check(&self, numbers: usize) -> Result<()> {
+        require_finite("start", &self.start)?;
+        require_finite("covariance_m2", self.covariance_m2.as_flattened())?;
+        for (name, value) in [
+            ("position_noise_m2_s", self.position_noise_m2_s),
+            ("speed_sigma_m_s", self.speed_sigma_m_s),
+            ("speed_walk", self.speed_walk),
+            ("heading_sigma_deg", self.heading_sigma_deg),
+            ("heading_walk_deg", self.heading_walk_deg),
+            ("bias_sigma", self.bias_sigma),
+            ("bias_walk", self.bias_walk),
+        ] {
+            require_not_negative(name, value)?;
+        }
+        if self.reading_sigma.len() != 1 && self.reading_sigma.len() != numbers {
+            return Err(Error::shape(
+                "reading_sigma",
+                format!("a number or ({numbers},)"),
+                format!("({},)", self.reading_sigma.len()),
+            ));
+        }
+        for (i, &sigma) in self.reading_sigma.iter().enumerate() {
+            require_not_negative(&format!("reading_sigma[{i}]"), sigma)?;
+        }
+        Ok(())
     }
 }

@@ -2,9 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::options::GridSearch;
 use crate::field::Field;
-use crate::lattice::{OffsetLattice, Pivot, centroid};
-use crate::matching::grid_search::GridSearch;
+use crate::lattice::OffsetLattice;
 use crate::matching::similarity::Criterion;
 use crate::track::Track;
 
@@ -32,29 +32,30 @@ impl LocalFit {
         search: &GridSearch,
         moved: &[[f64; 2]],
         placements: &[(f64, f64)],
+        chosen: (f64, f64),
     ) -> Self {
         let free_mean = search.remove_mean || search.criterion == Criterion::Ncc;
         let gain = search.criterion == Criterion::Ncc;
         let turning = placements.iter().any(|p| p.0 != placements[0].0);
         let stretching = placements.iter().any(|p| p.1 != placements[0].1);
-        let pivot = match search.pivot {
-            Pivot::Newest => moved[moved.len() - 1],
-            Pivot::Centroid => centroid(field.geographic(), moved.iter().copied()),
-        };
+        // Whatever point the search turned the track about, the newest is the one whose covariance is asked for; told about it,
+        // heading and scale span the same motions.
+        let newest = moved[moved.len() - 1];
         let mut rows: Vec<(Vec<f64>, f64, f64)> = Vec::with_capacity(moved.len());
         for (k, p) in moved.iter().enumerate() {
             let weight = search.weights.as_ref().map_or(1.0, |w| w[k]);
             if weight == 0.0 {
                 continue;
             }
-            let (m, [east, north]) = match track.height_m() {
-                Some(heights) => field.value_and_gradient_at(p[0], p[1], heights[k]),
-                None => field.value_and_gradient(p[0], p[1]),
+            let (m, [east, north]) = match (field.as_grid(), track.height_m()) {
+                (Some(grid), _) => grid.sample_and_gradient(p[0], p[1], search.interpolation),
+                (None, Some(heights)) => field.value_and_gradient_at(p[0], p[1], heights[k]),
+                (None, None) => field.value_and_gradient(p[0], p[1]),
             };
             if m.is_nan() || east.is_nan() || north.is_nan() {
                 continue;
             }
-            let [e, n] = field.displacement_m(pivot, *p);
+            let [e, n] = field.displacement_m(newest, *p);
             let mut row = vec![east, north];
             if turning {
                 row.push(east * n - north * e);
@@ -105,6 +106,7 @@ impl LocalFit {
         if !(low > 1e-12 * high) {
             return none;
         }
+        let scaled = normal.clone();
         let Some(inverse) = normal.cholesky().map(|c| c.inverse()) else { return none };
         // Residual noise after the nuisance parameters (constant, gain) have taken their share.
         let nuisance = parameters - usize::from(free_mean) - usize::from(gain)..parameters;
@@ -126,14 +128,38 @@ impl LocalFit {
             (None, _) => Some(spread(2) * freedom),
         };
         let scale = total / samples as f64;
+        // Heading and scale stay on their lists: what they are wrong by within a step moves the position with them.
+        let columns = (2..).zip(
+            [
+                (turning, steps(&search.heading_deg, chosen.0).to_radians()),
+                (stretching, steps(&search.scale, chosen.1)),
+            ]
+            .into_iter()
+            .filter(|q| q.0),
+        );
+        let stepped: Vec<(usize, f64)> = columns.map(|(i, (_, width))| (i, width * width / 12.0)).collect();
+        let carried = carried(&scaled, &norms, &stepped);
         let covariance_m2 = noise.filter(|_| samples > parameters || search.sigma.is_some()).map(|noise| {
             let at = |i: usize, j: usize| noise * scale * inverse[(i, j)] / (norms[i] * norms[j]);
-            [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]]
+            let with = |i: usize, j: usize| at(i, j) + carried[i][j];
+            [[with(0, 0), with(0, 1)], [with(1, 0), with(1, 1)]]
         });
         let squares: f64 = rows.iter().map(|(_, r, w)| w * r * r).sum();
         let explained = right.dot(&(&inverse * &right));
         let least_squares = (samples > parameters).then(|| ((squares - explained).max(0.0), samples - parameters));
         Self { samples, bias, covariance_m2, least_squares, flat: false }
+    }
+
+    /// Adds what a place anywhere within a lattice cell is uncertain by: for an answer that stays on the lattice.
+    pub fn spread_over(&mut self, step: [f64; 2], half: [usize; 2], metres: [f64; 2]) {
+        if let Some(covariance) = &mut self.covariance_m2 {
+            for d in 0..2 {
+                // A direction that was not searched has no cell.
+                if half[d] > 0 {
+                    covariance[d][d] += (step[d] * metres[d]).powi(2) / 12.0;
+                }
+            }
+        }
     }
 
     /// Whether the position is no better known than the search itself.
@@ -146,6 +172,31 @@ impl LocalFit {
         self.covariance_m2
             .is_some_and(|c| (0..2).any(|d| half[d] > 0.0 && c[d][d].sqrt() > half[d].max(1.0) * step[d] * unit[d]))
     }
+}
+
+/// Distance between the middles of the gaps about a value of a list; zero for a list of one.
+fn steps(list: &[f64], chosen: f64) -> f64 {
+    let below = list.iter().copied().filter(|v| *v < chosen).fold(f64::NEG_INFINITY, f64::max);
+    let above = list.iter().copied().filter(|v| *v > chosen).fold(f64::INFINITY, f64::min);
+    [chosen - below, above - chosen].into_iter().filter(|gap| gap.is_finite()).map(|gap| 0.5 * gap).sum()
+}
+
+/// Covariance of the position that comes from parameters held on steps of the given variances, the others free to follow.
+fn carried(normal: &DMatrix<f64>, norms: &[f64], stepped: &[(usize, f64)]) -> [[f64; 2]; 2] {
+    let mut out = [[0.0; 2]; 2];
+    let free: Vec<usize> = (0..norms.len()).filter(|i| stepped.iter().all(|s| s.0 != *i)).collect();
+    let Some(factor) = normal.select_rows(&free).select_columns(&free).cholesky() else { return out };
+    for &(column, variance) in stepped {
+        let follow = factor.solve(&normal.select_rows(&free).column(column).into_owned());
+        // Columns were scaled to unit norm: back to metres per radian, or per ratio.
+        let moved = [0, 1].map(|d| follow[d] * norms[column] / norms[d]);
+        for (i, row) in out.iter_mut().enumerate() {
+            for (j, sum) in row.iter_mut().enumerate() {
+                *sum += moved[i] * moved[j] * variance;
+            }
+        }
+    }
+    out
 }
 
 /// Weighted least squares of the residuals on at most two nuisance columns.

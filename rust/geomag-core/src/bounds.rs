@@ -1,0 +1,86 @@
+//! Where a coordinate can lie at all. Finite is not enough: blanks of old formats (-1e32, 9.97e36) are finite, and an index made
+//! of one overflows.
+//!
+//! Every place that enters passes here (tracks, samples of a stream, axes, paths), so that nothing further down has to ask.
+
+use crate::error::{Error, Result, require_finite};
+
+/// Greatest size of a projected coordinate, metres: two and a half times round the Earth. (Web Mercator ends at 2.1e7, eastings with
+/// the zone before them at 6.1e7.)
+pub const FARTHEST_M: f64 = 1e8;
+/// Greatest size of a longitude, degrees: ten turns.
+pub const MOST_LONGITUDE_DEG: f64 = 3600.0;
+/// Least spacing of an axis and least step of a lattice, map units: positions in cells of it are whole numbers that a double holds.
+pub const LEAST_STEP: f64 = 1e-7;
+
+/// Refuses a coordinate that no place on the Earth has; `name` is made only for the message.
+fn require(name: impl FnOnce() -> String, value: f64, limit: f64, kind: &str) -> Result<()> {
+    if value.abs() <= limit { Ok(()) } else { Err(Error::invalid(name(), format!("{kind} within +-{limit}"), value)) }
+}
+
+/// Limit and name of a coordinate along x (0) or y (1).
+fn limit(geographic: bool, axis: usize) -> (f64, &'static str) {
+    match (geographic, axis) {
+        (false, _) => (FARTHEST_M, "a coordinate"),
+        (true, 0) => (MOST_LONGITUDE_DEG, "a longitude (degrees)"),
+        (true, _) => (90.0, "a latitude (degrees)"),
+    }
+}
+
+/// Refuses arrays of coordinates with one that no place has, naming the first: `{what} x[{index}]`.
+///
+/// # Errors
+/// [`Error::NotFinite`], [`Error::Invalid`] beyond [`FARTHEST_M`], or, on geographic coordinates, beyond 90 degrees of latitude or
+/// [`MOST_LONGITUDE_DEG`].
+pub fn require_places(what: &str, geographic: bool, x: &[f64], y: &[f64]) -> Result<()> {
+    for (axis, (name, values)) in [("x", x), ("y", y)].into_iter().enumerate() {
+        let (most, kind) = limit(geographic, axis);
+        if let Some(k) = values.iter().position(|v| !(v.abs() <= most)) {
+            require_finite(&format!("{what} {name}"), values)?;
+            require(|| format!("{what} {name}[{k}]"), values[k], most, kind)?;
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a place that cannot be: see [`require_places`].
+///
+/// # Errors
+/// As [`require_places`].
+pub fn require_place(what: &str, geographic: bool, place: [f64; 2]) -> Result<()> {
+    for (axis, name) in ["x", "y"].into_iter().enumerate() {
+        let (most, kind) = limit(geographic, axis);
+        if !(place[axis].abs() <= most) {
+            require_finite(&format!("{what} {name}"), &place[axis..=axis])?;
+            require(|| format!("{what} {name}"), place[axis], most, kind)?;
+        }
+    }
+    Ok(())
+}
+
+/// Refuses an extent or a step of a search that is longer than the Earth.
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_extent(what: &str, value: f64) -> Result<()> {
+    require(|| what.to_owned(), value, 2.0 * FARTHEST_M, "an extent")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blanks_are_refused_by_name() {
+        for blank in [-1e32, 9.97e36, 1.7e38, 1e22, 2e8] {
+            let got = require_places("track", false, &[0.0, blank], &[0.0, 0.0]).unwrap_err().to_string();
+            assert!(got.starts_with("track x[1]: needed a coordinate within +-100000000, got "), "{got}");
+            assert!(require_place("sample", false, [0.0, blank]).is_err());
+        }
+        assert!(require_places("track", true, &[720.5], &[89.0]).is_ok());
+        let pole = require_place("sample", true, [0.0, 90.1]).unwrap_err().to_string();
+        assert_eq!(pole, "sample y: needed a latitude (degrees) within +-90, got 90.1");
+        assert!(matches!(require_place("sample", true, [f64::NAN, 0.0]), Err(Error::NotFinite { .. })));
+        assert!(require_extent("half_width x", 1e9).is_err());
+    }
+}
