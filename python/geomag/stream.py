@@ -51,6 +51,7 @@ _FIELDS = (
     "runner_up",
     "n_samples",
     "iterations",
+    "heights_m",
 )
 
 
