@@ -597,6 +597,37 @@ class InsModel:
     def __ne__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
+@final
+class MatcherPlan:
+    def __new__(
+        cls,
+        *,
+        every_s: float = 60.0,
+        wide_every_s: float = 600.0,
+        samples: int = 40,
+        spacing_m: float | None = None,
+        tolerance_m: float | None = None,
+        max_risk: float = 0.01,
+        reach_m: float = 40000.0,
+    ) -> MatcherPlan: ...
+    @property
+    def every_s(self) -> float: ...
+    @property
+    def wide_every_s(self) -> float: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def spacing_m(self) -> float | None: ...
+    @property
+    def tolerance_m(self) -> float | None: ...
+    @property
+    def max_risk(self) -> float: ...
+    @property
+    def reach_m(self) -> float: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
 class _NavigatorOptions(TypedDict, total=False):
     ins: InsModel | None
     start: _Pair | None
@@ -610,6 +641,9 @@ class _NavigatorOptions(TypedDict, total=False):
     nu: float
     linear_m: float | None
     integrity_risk: float
+    matcher: MatcherPlan | None
+    terms_covariance: ArrayLike
+    method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float
 
 @final
@@ -626,6 +660,8 @@ class NavigationStep:
     def velocity_error_m_s(self) -> tuple[float, float]: ...
     @property
     def heading_error_deg(self) -> float: ...
+    @property
+    def tilt_error_mrad(self) -> tuple[float, float]: ...
     @property
     def bias(self) -> float: ...
     @property
@@ -656,7 +692,24 @@ class Navigator:
         velocity_m_s: _Pair | None = None,
         heading_deg: float | None = None,
         value: float | None = None,
+        *,
+        height_m: float | None = None,
+        terms: ArrayLike | None = None,
     ) -> NavigationStep: ...
+    def correct(self, fix: Fix) -> tuple[float, bool]: ...
+    def correct_position(self, offset_m: _Pair, covariance_m2: ArrayLike) -> tuple[float, bool]: ...
+    def correct_velocity(self, velocity_m_s: _Pair, sigma_m_s: float) -> tuple[float, bool]: ...
+    def reset(self, x: float, y: float, covariance_m2: ArrayLike) -> None: ...
+    def predict_bound(
+        self,
+        time_s: ArrayLike,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        velocity_m_s: ArrayLike | None = None,
+        heading_deg: ArrayLike | None = None,
+        height_m: ArrayLike | None = None,
+    ) -> _Floats: ...
     @property
     def status(self) -> _NavigationStatus: ...
     @property
@@ -678,6 +731,9 @@ def _navigate(
     velocity_m_s: ArrayLike | None = None,
     heading_deg: ArrayLike | None = None,
     readings: ArrayLike | None = None,
+    height_m: ArrayLike | None = None,
+    terms: ArrayLike | None = None,
+    lag_s: float | None = None,
     progress: _Progress = None,
     **options: Unpack[_NavigatorOptions],
 ) -> dict[str, Any]: ...
