@@ -52,7 +52,6 @@ _FIELDS = (
     "runner_up",
     "n_samples",
     "iterations",
-    "heights_m",
 )
 
 
