@@ -377,12 +377,11 @@ impl Patch {
         }
         let above = self.on_level(px, py, storey.level + 1);
         let mix = |a: f32, b: f32| a + storey.share as f32 * (b - a);
+        let nearest = if storey.share > 0.5 { &above } else { &below };
         Sample {
             value: mix(below.value, above.value),
-            variance: mix(below.variance, above.variance),
-            distance: mix(below.distance, above.distance),
             gradient: [0, 1].map(|d| mix(below.gradient[d], above.gradient[d])),
-            curvature: mix(below.curvature, above.curvature),
+            ..*nearest
         }
     }
 
@@ -446,6 +445,10 @@ impl Patch {
     /// One quantity at the nodes around these spots.
     #[inline(always)]
     pub fn read<const QUANTITY: usize>(&self, cells: &Cells, spots: &mut Spots) -> Corners {
+        if QUANTITY != VALUE {
+            // What is known of the errors changes slowly with height: that of the nearest level will do.
+            return self.read_level::<QUANTITY>(spots.level as usize + usize::from(spots.share > 0.5), cells, spots);
+        }
         let mut corners = self.read_level::<QUANTITY>(spots.level as usize, cells, spots);
         if spots.share > 0.0 {
             let above = self.read_level::<QUANTITY>(spots.level as usize + 1, cells, spots);
@@ -537,14 +540,8 @@ impl Patch {
 
     /// Error variance and distance to data of an even patch, in the storey of a place.
     pub fn everywhere(&self, place: Place) -> [f32; 2] {
-        [VARIANCE, DISTANCE].map(|q| {
-            let below = self.levels[place.level as usize][q][0];
-            if place.share > 0.0 {
-                below + place.share * (self.levels[place.level as usize + 1][q][0] - below)
-            } else {
-                below
-            }
-        })
+        let nearest = place.level as usize + usize::from(place.share > 0.5);
+        [VARIANCE, DISTANCE].map(|q| self.levels[nearest][q][0])
     }
 
     /// Spacing, map units.
