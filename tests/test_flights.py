@@ -100,3 +100,22 @@ def test_the_lines_of_osborne_fly_as_they_were_specified(data_file):
     flights = line_flights(some)
     assert len(flights) == 3
     assert all(f.reading_share > 0.9 and f.longest_outage_s < 250 for f in flights)
+
+
+def test_what_goes_wrong_does_so_when_and_as_asked(lines):
+    from geomag.disturbances import jammed, outage, outliers, stuck
+
+    flight = line_flights(lines, hours=0.5)[0]
+    rng = np.random.default_rng(1)
+    since = flight.time_s - flight.time_s[0]
+    inside = (since >= 600) & (since < 700)
+    silent = outage(600, 100)(flight, None, flight.values, rng)
+    assert np.isnan(silent[inside]).all()
+    np.testing.assert_array_equal(silent[~inside], flight.values[~inside])
+    still = stuck(600, 100)(flight, None, flight.values, rng)
+    assert np.unique(still[inside & np.isfinite(still)]).size == 1
+    noisy = jammed(600, 100, 200.0)(flight, None, flight.values, rng) - flight.values
+    assert np.nanstd(noisy[inside]) == pytest.approx(200.0, rel=0.3)
+    assert np.nanmax(np.abs(noisy[~inside])) == 0.0
+    wrong = outliers(0.05, 100.0)(flight, None, flight.values, rng) != flight.values
+    assert np.mean(wrong[np.isfinite(flight.values)]) == pytest.approx(0.05, abs=0.03)

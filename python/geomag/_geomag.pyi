@@ -30,6 +30,7 @@ class GridMap:
         *,
         geographic: bool = False,
         sigma: ArrayLike | None = None,
+        correlation_m: float | None = None,
         height_m: ArrayLike | None = None,
         name: str | None = None,
         units: str | None = None,
@@ -56,6 +57,8 @@ class GridMap:
     @property
     def sigma(self) -> float | _Floats | None: ...
     @property
+    def correlation_m(self) -> float | None: ...
+    @property
     def height_m(self) -> float | _Floats | None: ...
     def with_error_model(
         self,
@@ -70,6 +73,7 @@ class GridMap:
         crossover: float | None = None,
         registration_m_per_d: float | None = None,
         registration_length: float | None = None,
+        misfit_threshold: float | None = None,
         recalibration: tuple[float, float] | None = None,
         forecast: tuple[float, float] | None = None,
         layout: Literal["given", "values"] = "given",
@@ -193,6 +197,8 @@ class Fix:
     def risk(self) -> float | None: ...
     @property
     def goodness(self) -> float | None: ...
+    @property
+    def misfit(self) -> tuple[str, float, float] | None: ...
     @property
     def status(self) -> _Status: ...
     @property
@@ -597,6 +603,37 @@ class InsModel:
     def __ne__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
+@final
+class MatcherPlan:
+    def __new__(
+        cls,
+        *,
+        every_s: float = 60.0,
+        wide_every_s: float = 600.0,
+        samples: int = 40,
+        spacing_m: float | None = None,
+        tolerance_m: float | None = None,
+        max_risk: float = 0.01,
+        reach_m: float = 40000.0,
+    ) -> MatcherPlan: ...
+    @property
+    def every_s(self) -> float: ...
+    @property
+    def wide_every_s(self) -> float: ...
+    @property
+    def samples(self) -> int: ...
+    @property
+    def spacing_m(self) -> float | None: ...
+    @property
+    def tolerance_m(self) -> float | None: ...
+    @property
+    def max_risk(self) -> float: ...
+    @property
+    def reach_m(self) -> float: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
 class _NavigatorOptions(TypedDict, total=False):
     ins: InsModel | None
     start: _Pair | None
@@ -610,6 +647,9 @@ class _NavigatorOptions(TypedDict, total=False):
     nu: float
     linear_m: float | None
     integrity_risk: float
+    matcher: MatcherPlan | None
+    terms_covariance: ArrayLike
+    method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float
 
 @final
@@ -626,6 +666,8 @@ class NavigationStep:
     def velocity_error_m_s(self) -> tuple[float, float]: ...
     @property
     def heading_error_deg(self) -> float: ...
+    @property
+    def tilt_error_mrad(self) -> tuple[float, float]: ...
     @property
     def bias(self) -> float: ...
     @property
@@ -656,7 +698,24 @@ class Navigator:
         velocity_m_s: _Pair | None = None,
         heading_deg: float | None = None,
         value: float | None = None,
+        *,
+        height_m: float | None = None,
+        terms: ArrayLike | None = None,
     ) -> NavigationStep: ...
+    def correct(self, fix: Fix) -> tuple[float, bool]: ...
+    def correct_position(self, offset_m: _Pair, covariance_m2: ArrayLike) -> tuple[float, bool]: ...
+    def correct_velocity(self, velocity_m_s: _Pair, sigma_m_s: float) -> tuple[float, bool]: ...
+    def reset(self, x: float, y: float, covariance_m2: ArrayLike) -> None: ...
+    def predict_bound(
+        self,
+        time_s: ArrayLike,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        velocity_m_s: ArrayLike | None = None,
+        heading_deg: ArrayLike | None = None,
+        height_m: ArrayLike | None = None,
+    ) -> _Floats: ...
     @property
     def status(self) -> _NavigationStatus: ...
     @property
@@ -678,6 +737,9 @@ def _navigate(
     velocity_m_s: ArrayLike | None = None,
     heading_deg: ArrayLike | None = None,
     readings: ArrayLike | None = None,
+    height_m: ArrayLike | None = None,
+    terms: ArrayLike | None = None,
+    lag_s: float | None = None,
     progress: _Progress = None,
     **options: Unpack[_NavigatorOptions],
 ) -> dict[str, Any]: ...
@@ -1086,6 +1148,7 @@ class FieldNavigator:
         heading_walk_deg: float = 0.0,
         bias_sigma: float = 0.0,
         bias_walk: float = 0.0,
+        height_sigma_m: float = 0.0,
         gate: float | None = ...,
         field_sigma: bool = True,
         method: Literal["unscented", "extended"] = "unscented",
@@ -1144,11 +1207,16 @@ def match_posterior(
     max_risk: float = 0.01,
     step: _Pair | None = None,
     bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     position_sigma_m: float = 0.0,
     nu: float | None = None,
+    interpolation: str = "bilinear",
+    misfit_threshold: float | None = None,
     min_overlap: float = 0.8,
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
@@ -1165,11 +1233,16 @@ def match_posterior_many(
     max_risk: float = 0.01,
     step: _Pair | None = None,
     bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     position_sigma_m: float = 0.0,
     nu: float | None = None,
+    interpolation: str = "bilinear",
+    misfit_threshold: float | None = None,
     min_overlap: float = 0.8,
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
@@ -1189,6 +1262,7 @@ def predict_many(
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     nu: float | None = None,
+    interpolation: str = "bilinear",
     flights: int = 20,
     seed: int = 0,
     progress: _Progress = None,
@@ -1219,11 +1293,16 @@ class PosteriorMatcher:
         max_risk: float = 0.01,
         step: _Pair | None = None,
         bias_sigma: float | None = None,
+        leg_bias_sigma: float = 0.0,
+        bias_walk: float = 0.0,
+        height_sigma_m: float = 0.0,
         drift_sigma_m: float = 0.0,
         heading_sigma_deg: float = 0.0,
         scale_sigma: float = 0.0,
         position_sigma_m: float = 0.0,
         nu: float | None = None,
+        interpolation: str = "bilinear",
+        misfit_threshold: float | None = None,
         min_overlap: float = 0.8,
         min_goodness: float = 0.001,
         max_candidates: int = 4_000_000,

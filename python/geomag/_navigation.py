@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 import numpy as np
 
-from geomag._errors import ShapeError
+from geomag._errors import InvalidInputError, ShapeError
 from geomag._geomag import GridMap, HarmonicMap, InsModel, _displacements_m, _navigate, _radii_m
 from geomag._optional import require
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import ArrayLike, NDArray
+
+    from geomag._geomag import _NavigatorOptions
 
 Progress = bool | Callable[[int, int], object] | None
 
@@ -46,13 +48,21 @@ class Navigation:
     velocity_error_m_s : array (n, 2)
         Indicated minus true velocity as estimated, m/s (east, north).
     heading_error_deg, bias : array (n,)
-        Error of the attitude about the vertical, degrees, and of the sensor, map's unit.
+        Indicated minus true heading, degrees clockwise, and error of the sensor, map's unit.
+    tilt_error_mrad : array (n, 2)
+        Rotation of the platform about the east and the north axis, milliradians.
     nis, running_nis : array (n,)
         Normalised innovation squared (NaN where no measurement was taken) and its running mean, 1 where the covariance is right.
     last_fix, resets : array (n,)
         Time of the newest fix used (NaN before any), seconds; resets so far.
     inputs : str
         `full`, `velocity` (the heading is the course) or `positions` (a reduced model).
+    geographic : bool
+        Whether places are degrees of longitude and latitude.
+    state : array (m,)
+        The estimated errors at the end: see `Navigator.state`; with `method="rbpf"` without the displacement of the map.
+    smooth_x, smooth_y, smooth_covariance_m2 : arrays (n,), (n,), (n, 2, 2), or None
+        Places and covariances with what came after each step, where `smooth` asked for them.
     """
 
     time_s: NDArray[np.float64]
@@ -66,6 +76,7 @@ class Navigation:
     outcome: NDArray[np.str_]
     velocity_error_m_s: NDArray[np.float64]
     heading_error_deg: NDArray[np.float64]
+    tilt_error_mrad: NDArray[np.float64]
     bias: NDArray[np.float64]
     nis: NDArray[np.float64]
     running_nis: NDArray[np.float64]
@@ -73,6 +84,10 @@ class Navigation:
     resets: NDArray[np.int64]
     inputs: str
     geographic: bool
+    state: NDArray[np.float64]
+    smooth_x: NDArray[np.float64] | None = None
+    smooth_y: NDArray[np.float64] | None = None
+    smooth_covariance_m2: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return int(self.time_s.size)
@@ -89,26 +104,37 @@ class Navigation:
         columns: dict[str, Any] = {}
         for one in fields(self):
             value = getattr(self, one.name)
+            if value is None or one.name in ("covariance_filter_m2", "smooth_covariance_m2"):
+                continue
             if one.name == "covariance_m2":
                 columns["variance_east_m2"] = value[:, 0, 0]
                 columns["covariance_m2"] = value[:, 0, 1]
                 columns["variance_north_m2"] = value[:, 1, 1]
             elif one.name == "velocity_error_m_s":
                 columns["velocity_error_east_m_s"], columns["velocity_error_north_m_s"] = value.T
-            elif isinstance(value, np.ndarray) and value.ndim == 1:
+            elif one.name == "tilt_error_mrad":
+                columns["tilt_error_east_mrad"], columns["tilt_error_north_mrad"] = value.T
+            elif isinstance(value, np.ndarray) and value.ndim == 1 and one.name != "state":
                 columns[one.name] = value
         return pandas.DataFrame(columns)
 
-    def error_m(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Corrected minus true place, metres, (n, 2) east, north; `x`, `y` (n,) is the truth in map units."""
+    def error_m(self, x: ArrayLike, y: ArrayLike, *, smoothed: bool = False) -> NDArray[np.float64]:
+        """Corrected (or smoothed) minus true place, metres, (n, 2) east, north; `x`, `y` (n,) is the truth in map units."""
         true = [np.asarray(v, dtype=float) for v in (x, y)]
         for name, value in zip("xy", true, strict=True):
             if value.shape != self.x.shape:
                 raise ShapeError(f"truth {name}: needed shape {self.x.shape} as the flight, got {value.shape}")
-        return _displacements_m(self.geographic, true[0], true[1], self.x, self.y)
+        place = (self.smooth_x, self.smooth_y) if smoothed else (self.x, self.y)
+        if place[0] is None or place[1] is None:
+            raise InvalidInputError("smoothed: needed a flight navigated with smooth=..., got one without")
+        return _displacements_m(self.geographic, true[0], true[1], place[0], place[1])
 
     def summary(
-        self, truth: tuple[ArrayLike, ArrayLike] | None = None, *, after_s: float = SETTLING_S
+        self,
+        truth: tuple[ArrayLike, ArrayLike] | None = None,
+        *,
+        after_s: float = SETTLING_S,
+        smoothed: bool = False,
     ) -> dict[str, float]:
         """What became of the flight, in a few numbers.
 
@@ -118,6 +144,8 @@ class Navigation:
             True places, map units; without them only what the flight says of itself.
         after_s : float
             Time after the start that is not counted, seconds.
+        smoothed : bool
+            Judge the smoothed places and covariances; the protection level is that of the causal ones.
 
         Returns
         -------
@@ -129,7 +157,10 @@ class Navigation:
         kept = self.time_s >= self.time_s[0] + after_s
         if not kept.any():
             kept[:] = True
-        covariance = self.covariance_m2[kept]
+        whole = self.smooth_covariance_m2 if smoothed else self.covariance_m2
+        if whole is None:
+            raise InvalidInputError("smoothed: needed a flight navigated with smooth=..., got one without")
+        covariance = whole[kept]
         out = {
             f"share_{name}": float(np.mean(self.status[kept] == name))
             for name in ("acquiring", "tracking", "coasting", "lost")
@@ -138,7 +169,7 @@ class Navigation:
         out["declared_rms_m"] = float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
         if truth is None:
             return out
-        error = self.error_m(*truth)[kept]
+        error = self.error_m(*truth, smoothed=smoothed)[kept]
         distance = np.hypot(*error.T)
         radius = _radii_m(covariance, 0.99)
         out["drms_m"] = float(np.sqrt(np.mean(distance**2)))
@@ -164,8 +195,11 @@ def navigate(
     readings: ArrayLike | None = None,
     ins: InsModel | None = None,
     position_sigma_m: float | None = None,
+    height_m: ArrayLike | None = None,
+    terms: ArrayLike | None = None,
+    smooth: float | Literal["flight"] | None = None,
     progress: Progress = None,
-    **options: Any,
+    **options: Unpack[_NavigatorOptions],
 ) -> Navigation:
     """Navigate through a whole log: what an INS indicated, corrected by readings of the field.
 
@@ -190,6 +224,13 @@ def navigate(
         Grade of the INS; `InsModel.navigation()` if not given.
     position_sigma_m : float, optional
         Standard deviation of the first indicated place on each axis; 100 m if not given.
+    height_m : float or array (n,), optional
+        Metres above the map's height datum, for maps that are known at several heights.
+    terms : array (n, m), optional
+        What the coefficients of the vehicle's own field are multiplied by, a row a step (`geomag.compensation`); with `terms_covariance` (m, m) they are states
+        of the filter.
+    smooth : float or "flight", optional
+        Also answer each step with what came after it: until so many seconds later, or the rest of the flight. The causal output stays as it is.
     progress : bool or callable, optional
         True for a bar, or a callable ``(done, total)``.
     **options
@@ -222,6 +263,8 @@ def navigate(
     >>> str(flight.status[-1]), flight.summary((true_x, true_y), after_s=60)["beyond_protection"]
     ('tracking', 0.0)
     """
+    if isinstance(smooth, str) and smooth != "flight":
+        raise InvalidInputError(f"smooth: needed seconds or 'flight', got {smooth!r}")
     columns = _navigate(
         grid,
         time_s,
@@ -232,6 +275,9 @@ def navigate(
         readings=readings,
         ins=ins,
         position_sigma_m=position_sigma_m,
+        height_m=height_m,
+        terms=terms,
+        lag_s=np.inf if smooth == "flight" else smooth,
         progress=progress,
         **options,
     )

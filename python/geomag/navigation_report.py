@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, TooFewSamplesError
-from geomag._geomag import GridMap, InsFeedback, InsModel, Track, _radii_m, match_posterior
+from geomag._geomag import GridMap, InsFeedback, InsModel, Navigator, Track, _radii_m, match_posterior
 from geomag._inertial import Inertial, draw_inertial_error, indicate, strapdown
 from geomag._navigation import DECLARED, SETTLING_S, Navigation, navigate
 from geomag._ranges import above, at_least
@@ -31,7 +31,7 @@ Disturbance = Callable[[LineFlight, Inertial, Array, np.random.Generator], Array
 
 #: A flight that ends further off than this and than three standard deviations has diverged without a word.
 DIVERGED_M = 1000.0
-METHODS = ("navigator", "ekf", "rbpf", "windows")
+METHODS = ("navigator", "smoothed", "ekf", "rbpf", "windows")
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class NavigationReport:
         got = np.isfinite(first)
         bounds = [r.bound_m2 for r in self.runs if r.bound_m2 is not None]
         trace = (
-            np.concatenate([np.trace(b, axis1=1, axis2=2) for b in bounds])
+            np.concatenate([np.trace(b, axis1=1, axis2=2)[c] for b, c in zip(bounds, counted, strict=True)])
             if len(bounds) == len(self.runs)
             else np.full(1, np.nan)
         )
@@ -254,6 +254,11 @@ def _folds(lines: Lines, folds: int) -> list[tuple[Lines, Lines]]:
     return [(Lines.joined(kept), Lines.joined(left)) for kept, left in lines.survey.parted(folds)]
 
 
+def fold_maps(lines: Lines, *, folds: int = 3, **map_options: Any) -> list[GridMap]:  # noqa: ANN401 - options of map_from_lines
+    """The maps that `calibrate_navigation` makes, one a fold, each of the lines that are kept: for several reports on the same maps."""
+    return [map_from_lines(kept, **map_options) for kept, _ in _folds(lines, folds)]
+
+
 def calibrate_navigation(
     lines: Lines,
     *,
@@ -291,7 +296,8 @@ def calibrate_navigation(
     position_sigma_m : position error at the start, a standard deviation on each axis, told to the filter; kilometres make it an acquisition.
     sensor : what is added to the readings; `FieldSensor()` by default (a bias of up to 50, a swing over hours, half a unit of noise, one outlier of 100 in a hundred).
     simulation : 'equations' draws the INS by its error equations, 'strapdown' by integrating its own readings (pyins, extra `ins`; maps in degrees).
-    method : 'navigator'; 'ekf' and 'rbpf', textbook filters; 'windows', matched windows fed to `InsFeedback`.
+    method : 'navigator'; 'smoothed', with what came after each step (the whole flight, or `smooth=` seconds); 'ekf', a textbook filter with the noise of the sensor alone
+        (`reading_sigma=`); 'rbpf', a particle filter; 'windows', matched windows fed to `InsFeedback`.
     maps : maps of the lines that are kept, one a fold, instead of making them.
     disturb : called with the flight, the INS's output, the readings and a generator, returns readings as they are to be: outages, jumps, a stuck sensor.
     bound : whether to compute the Cramer-Rao bound along the true paths, for `ratio`.
@@ -395,13 +401,22 @@ def _run(
     if method == "windows":
         error, covariance, level, status = _windows(grid, flight, shown, readings, ins, position_sigma_m)
     else:
-        more = options if method == "navigator" else {**options, "method": method}
+        more = {
+            "navigator": {},
+            "smoothed": {"smooth": "flight"},
+            "ekf": {"method": "ekf"},
+            "rbpf": {"method": "rbpf"},
+        }[method] | options
         flown: Navigation = navigate(
             grid, shown.time_s, shown.x, shown.y, velocity_m_s=shown.velocity_m_s, heading_deg=shown.heading_deg,
             readings=readings, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **more,
         )  # fmt: skip
-        error = np.column_stack([flown.x - true_x, flown.y - true_y]) * scales_m(true_y, geographic=flight.geographic)
-        covariance, level, status = flown.covariance_m2, flown.protection_level_m, flown.status
+        smoothed = method == "smoothed"
+        error = flown.error_m(true_x, true_y, smoothed=smoothed)
+        covariance = flown.covariance_m2
+        if smoothed and flown.smooth_covariance_m2 is not None:
+            covariance = flown.smooth_covariance_m2
+        level, status = flown.protection_level_m, flown.status
     return FlightRun(
         *key,
         flight.time_s,
@@ -415,13 +430,21 @@ def _run(
 
 
 def _bound(
-    grid: GridMap, flight: LineFlight, readings: Array, ins: InsModel, position_sigma_m: float, options: dict[str, Any]
+    grid: GridMap,
+    flight: LineFlight,
+    readings: Array,
+    ins: InsModel,
+    position_sigma_m: float,
+    options: dict[str, Any],
 ) -> Array:
-    from geomag._geomag import Navigator
-
-    navigator = Navigator(grid, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **options)
-    path = np.column_stack([flight.time_s, flight.x, flight.y])
-    return np.asarray(navigator.predict_bound(path, read=np.isfinite(readings)), dtype=np.float64)
+    """Cramer-Rao bound along the true path with its readings; between readings, and before the first, that of the nearest."""
+    read = np.flatnonzero(np.isfinite(readings))
+    path = (flight.time_s[read], flight.x[read], flight.y[read])
+    known = {k: v for k, v in options.items() if k not in ("smooth", "progress")}
+    navigator = Navigator(grid, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **known)
+    bound = np.asarray(navigator.predict_bound(*path), dtype=np.float64)
+    at = np.clip(np.searchsorted(flight.time_s[read], flight.time_s), 0, read.size - 1)
+    return np.asarray(bound[at], dtype=np.float64)
 
 
 #: Windows of the method 'windows': samples, time between two matches, what the covariance of a fix is multiplied by, walk of the velocity (m/s per square root of a second).

@@ -69,8 +69,10 @@ def _main(
 from geomag.cli import (  # noqa: E402
     bench,  # noqa: F401
     calibrate,  # noqa: F401
+    dafmit,  # noqa: F401
     demo,  # noqa: F401
     field,  # noqa: F401
+    flights,  # noqa: F401
     info,  # noqa: F401
     map,  # noqa: F401
     match,  # noqa: F401
@@ -78,6 +80,7 @@ from geomag.cli import (  # noqa: E402
     reduce,  # noqa: F401
     reproduce,  # noqa: F401
     stream,  # noqa: F401
+    stress,  # noqa: F401
     suitability,  # noqa: F401
 )
 

@@ -1,4 +1,4 @@
-"""The flight that the demo ends with: three quarters of an hour over the map that it matched on, with an outage."""
+"""The flight that the demo ends with: half an hour over the map that it matched on, with an outage."""
 
 from __future__ import annotations
 

@@ -148,7 +148,9 @@ def _of_points(
         points = points_of(table, *chosen, geographic=geographic, height_too=True)
     except UnknownVariableError as error:
         told = re.sub(r"; name (it|one) with \w+=$", "", str(error))
-        raise UnknownVariableError(f"{told}; give it a header of known names, or name them with columns=(x, y, value)") from error
+        raise UnknownVariableError(
+            f"{told}; give it a header of known names, or name them with columns=(x, y, value)"
+        ) from error
     if points.geographic is None:
         raise ask_kind(table.where)
     grid, xs, ys = lattice(points.x, points.y, points.values, table.where)

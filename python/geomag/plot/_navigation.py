@@ -50,7 +50,8 @@ def navigation_figure(
     title : of the figure; by default the flight in words.
     """
     figure = new_figure(12.0, 7.4)
-    left, right = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.0, 1.05))
+    left, right = halves
     ax = left.subplots()
     shown = [np.column_stack(indicated), np.column_stack([flight.x, flight.y])]
     known = None if truth is None else np.column_stack(truth)
@@ -97,6 +98,8 @@ def navigation_figure(
         below.plot(hours, alone, color=COLOURS["indicated"], label="error of the INS alone")
         below.plot(hours, np.hypot((flight.x - x) * east, (flight.y - y) * north), color=COLOURS["true"], label="error")
     below.set_yscale("log")
+    # Room for the legend above what is drawn.
+    below.set_ylim(top=6.0 * below.get_ylim()[1])
     below.set_ylabel("m")
     below.set_xlabel("time (h)")
     below.grid(True)

@@ -35,6 +35,9 @@ FEWEST = 60
 #: Ranges that are looked at: displacement, and the length over which it changes, in distances to the data.
 DISPLACEMENTS = np.geomspace(0.02, 1.0, 60)
 LENGTHS = np.geomspace(4.0, 120.0, 25)
+#: What is believed of that length before a survey is seen: centre, standard deviation of the logarithm, and its weight beside the mean loss of
+#: the stretches. Where displacements tell size and length apart they move it; where only the product of the two is seen it keeps to the middle.
+LENGTH_PRIOR = (8.0, 0.5, 0.01)
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,28 @@ def _student(squares: Array, variance: Array) -> float:
     return float(np.mean(0.5 * np.log(variance) + 0.5 * (NU + 1) * np.log1p(squares / (NU * variance))))
 
 
-def _line(
-    grid: GridMap, distance: Array, one: Lines, correlation: float, least: float
-) -> tuple[Array, Array, Batches] | None:
+@dataclass(frozen=True)
+class _Layers:
+    """A map, with its axes, sigma, distance to the data and the median of that, once."""
+
+    grid: GridMap
+    axes: Axes
+    sigma: Array
+    distance: Array
+    usual_m: float
+
+    @staticmethod
+    def of(grid: GridMap, distance: Array) -> _Layers:
+        sigma = np.asarray(grid.sigma, dtype=float)
+        return _Layers(grid, Axes.of(grid), sigma, distance, float(np.nanmedian(distance)))
+
+
+def _line(layers: _Layers, one: Lines, correlation: float, least: float) -> tuple[Array, Array, Batches] | None:
     """Errors of the samples of one line over their sigmas, and its batches."""
-    axes = Axes.of(grid)
+    axes, grid = layers.axes, layers.grid
     error = one.values - grid.sample(one.x, one.y)
-    sigma = nearest(np.asarray(grid.sigma, dtype=float), axes, one.x, one.y)
-    away = np.maximum(nearest(distance, axes, one.x, one.y), 0.5 * axes.cell)
+    sigma = nearest(layers.sigma, axes, one.x, one.y)
+    away = np.maximum(nearest(layers.distance, axes, one.x, one.y), 0.5 * axes.cell)
     east, north = grid.gradient(one.x, one.y)
     known = (
         np.isfinite(error)
@@ -97,9 +114,9 @@ def _line(
     error = error - np.median(error)
     rows, first = [], 0
     while first < error.size:
-        last = max(
-            int(np.searchsorted(along, along[first] + BATCH_CORRELATIONS * correlation * away[first])), first + 1
-        )
+        # Where lines cross the distance is short and the errors are not: as the navigator does it.
+        length = BATCH_CORRELATIONS * correlation * max(away[first], layers.usual_m)
+        last = max(int(np.searchsorted(along, along[first] + length)), first + 1)
         some = slice(first, last)
         off = np.abs(error[some] - np.median(error[some]))
         weight = (off <= SPIKE * np.maximum(np.median(off), SPIKE_SIGMA * sigma[some])) / (sigma[some] ** 2 + least**2)
@@ -150,7 +167,9 @@ def _registration(found: list[tuple[float, Array, Array]]) -> tuple[float, float
     """Size and length of the displacement of features that is most likely, stretches of every length weighing alike."""
     if not found:
         return None
-    losses = np.zeros((LENGTHS.size, DISPLACEMENTS.size))
+    centre, spread_of_log, weight = LENGTH_PRIOR
+    unlikely = weight * 0.5 * (np.log(LENGTHS / centre) / spread_of_log) ** 2
+    losses = np.repeat(unlikely[:, None], DISPLACEMENTS.size, axis=1)
     for stretch, moved, spread in found:
         common = mean_variance(stretch, LENGTHS)[:, None, None] * DISPLACEMENTS[None, :, None] ** 2
         a, b, c = spread[:, 0, 0] + common, spread[:, 0, 1], spread[:, 1, 1] + common
@@ -176,14 +195,15 @@ def learn_filter(
     misfit = misfit_of(*crossings(pieces, rng))
     least = max(noise, misfit) if np.isfinite(misfit) else noise
     errors, sigmas, batches = [], [], []
-    for (grid, distance), some in zip(maps, left, strict=True):
+    for one_map, some in zip(maps, left, strict=True):
+        layers = _Layers.of(*one_map)
         picks = (
             some
             if len(some) <= MOST_LINES
             else [some[k] for k in np.sort(rng.choice(len(some), MOST_LINES, replace=False))]
         )
         for one in picks:
-            got = _line(grid, distance, one, correlation, least)
+            got = _line(layers, one, correlation, least)
             if got is not None:
                 errors.append(got[0])
                 sigmas.append(got[1])

@@ -28,6 +28,7 @@ pub mod map_error;
 pub mod matching;
 pub mod monitor;
 pub mod navigation;
+mod random;
 pub mod stack;
 pub mod state;
 mod statistics;

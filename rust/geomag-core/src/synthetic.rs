@@ -25,13 +25,12 @@
 mod crust;
 mod ins;
 mod path;
-mod random;
 mod sensor;
 
+pub use crate::random::Random;
 pub use crust::{CrustSpec, Dipole, PlaneWave, SyntheticField};
 pub use ins::{InsError, InsSpread, PositionSpread, SCHULER_RATE_RAD_S};
 pub use path::{Leg, Path};
-pub use random::Random;
 pub use sensor::SensorModel;
 
 use serde::{Deserialize, Serialize};

@@ -74,7 +74,7 @@ mod _geomag {
     use crate::main_field::PyMainFieldModel;
     #[pymodule_export]
     use crate::map_navigator::{
-        PyInsModel, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,
+        PyInsModel, PyMatcherPlan, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,
     };
     #[pymodule_export]
     use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};

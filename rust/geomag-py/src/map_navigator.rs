@@ -6,13 +6,15 @@ use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::frame::displacement_m;
 use geomag_core::navigation::navigator::{
-    Flight, FlightInput, Indicated, InsModel, Navigator, NavigatorOptions, NavigatorStep, navigate, radii_m,
+    Correction, Flight, FlightInput, Indicated, InsModel, MatcherPlan, Method, Navigator, NavigatorOptions,
+    NavigatorStep, Smoothing, navigate, radii_m,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple};
 
-use crate::arrays::{matrix, pair, shaped, vector};
+use crate::arrays::{matrix, optional_vector, pair, shaped, vector};
 use crate::error::{PyRes, invalid};
+use crate::fix::PyFix;
 use crate::grid::field;
 use crate::lock::Shared;
 use crate::long_call;
@@ -185,6 +187,126 @@ impl PyInsModel {
     }
 }
 
+/// When and how the matcher beside a `Navigator` is asked.
+///
+/// Parameters
+/// ----------
+/// every_s : float
+///     Time between two tries while the position is uncertain or in doubt, seconds.
+/// wide_every_s : float
+///     Time between two looks round while the filter tracks, seconds; inf for none.
+/// samples : int
+///     Samples of a window, at most 256.
+/// spacing_m, tolerance_m : float
+///     Distance between them, and tolerance of a fix, metres; from the map if not given.
+/// max_risk : float
+///     Greatest declared risk of a fix that is used.
+/// reach_m : float
+///     Greatest half width of a search, metres.
+///
+/// Notes
+/// -----
+/// A fix is a measurement only while the filter is lost, and a test while it tracks: two that contradict it, or one under alarm, reset position
+/// and sensor bias. Source: geomag's own.
+///
+/// Examples
+/// --------
+/// >>> import geomag
+/// >>> geomag.MatcherPlan(every_s=30.0).every_s
+/// 30.0
+#[pyclass(frozen, eq, name = "MatcherPlan", module = "geomag")]
+#[derive(Clone, PartialEq)]
+pub struct PyMatcherPlan {
+    inner: MatcherPlan,
+}
+
+#[pymethods]
+impl PyMatcherPlan {
+    #[new]
+    #[pyo3(signature = (*, every_s = 60.0, wide_every_s = 600.0, samples = 40, spacing_m = None, tolerance_m = None,
+                        max_risk = 0.01, reach_m = 40_000.0))]
+    #[allow(clippy::too_many_arguments)] // one each, keyword-only
+    fn new(
+        every_s: f64,
+        wide_every_s: f64,
+        samples: usize,
+        spacing_m: Option<f64>,
+        tolerance_m: Option<f64>,
+        max_risk: f64,
+        reach_m: f64,
+    ) -> PyRes<Self> {
+        let inner = MatcherPlan { every_s, wide_every_s, samples, spacing_m, tolerance_m, max_risk, reach_m };
+        inner.validate()?;
+        Ok(Self { inner })
+    }
+
+    /// Time between two tries, seconds.
+    #[getter]
+    fn every_s(&self) -> f64 {
+        self.inner.every_s
+    }
+
+    /// Time between two looks round, seconds.
+    #[getter]
+    fn wide_every_s(&self) -> f64 {
+        self.inner.wide_every_s
+    }
+
+    /// Samples of a window.
+    #[getter]
+    fn samples(&self) -> usize {
+        self.inner.samples
+    }
+
+    /// Distance between them, metres.
+    #[getter]
+    fn spacing_m(&self) -> Option<f64> {
+        self.inner.spacing_m
+    }
+
+    /// Tolerance of a fix, metres.
+    #[getter]
+    fn tolerance_m(&self) -> Option<f64> {
+        self.inner.tolerance_m
+    }
+
+    /// Greatest declared risk of a fix that is used.
+    #[getter]
+    fn max_risk(&self) -> f64 {
+        self.inner.max_risk
+    }
+
+    /// Greatest half width of a search, metres.
+    #[getter]
+    fn reach_m(&self) -> f64 {
+        self.inner.reach_m
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+        let (py, m) = (slf.py(), &slf.get().inner);
+        let values = (m.every_s, m.wide_every_s, m.samples, m.spacing_m, m.tolerance_m, m.max_risk, m.reach_m);
+        Ok((slf.get_type().getattr("_restore")?, values.into_pyobject(py)?))
+    }
+
+    #[staticmethod]
+    fn _restore(
+        every_s: f64,
+        wide_every_s: f64,
+        samples: usize,
+        spacing_m: Option<f64>,
+        tolerance_m: Option<f64>,
+        max_risk: f64,
+        reach_m: f64,
+    ) -> PyRes<Self> {
+        Self::new(every_s, wide_every_s, samples, spacing_m, tolerance_m, max_risk, reach_m)
+    }
+
+    fn __repr__(&self) -> String {
+        let m = &self.inner;
+        format!("MatcherPlan(every {} s, look round every {} s, {} samples)", m.every_s, m.wide_every_s, m.samples)
+    }
+}
+
 /// A covariance from a number (variance on each axis) or a (2, 2) array.
 fn covariance(object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
     if let Ok(variance) = object.extract::<f64>() {
@@ -205,6 +327,9 @@ fn options(given: Option<&Bound<'_, PyDict>>) -> PyRes<NavigatorOptions> {
     for (key, value) in given.iter() {
         let key: String = key.extract()?;
         if value.is_none() {
+            if key == "matcher" {
+                out.matcher = None;
+            }
             continue;
         }
         let number = || value.extract::<f64>().map_err(|_| invalid(&key, "a number", value.get_type()));
@@ -238,6 +363,20 @@ fn options(given: Option<&Bound<'_, PyDict>>) -> PyRes<NavigatorOptions> {
             "linear_m" => out.linear_m = Some(number()?),
             "integrity_risk" => out.integrity_risk = number()?,
             "latitude_deg" => out.latitude_deg = number()?,
+            "terms_covariance" => out.terms_covariance = matrix("terms_covariance", &value)?.0,
+            "matcher" => {
+                let plan = value.cast::<PyMatcherPlan>();
+                let plan = plan.map_err(|_| invalid("matcher", "a geomag.MatcherPlan or None", value.get_type()))?;
+                out.matcher = Some(plan.get().inner);
+            }
+            "method" => {
+                out.method = match value.extract::<String>().as_deref() {
+                    Ok("navigator") => Method::Navigator,
+                    Ok("ekf") => Method::Ekf,
+                    Ok("rbpf") => Method::Rbpf,
+                    _ => return Err(invalid("method", "'navigator', 'ekf' or 'rbpf'", value.repr()?)),
+                };
+            }
             _ => {
                 let text = format!("unexpected keyword argument '{key}'");
                 return Err(PyErr::from(pyo3::exceptions::PyTypeError::new_err(text)).into());
@@ -292,10 +431,16 @@ impl PyNavigationStep {
         self.inner.velocity_error_m_s.into()
     }
 
-    /// Error of the attitude about the vertical as estimated, degrees.
+    /// Indicated minus true heading as estimated, degrees clockwise.
     #[getter]
     fn heading_error_deg(&self) -> f64 {
         self.inner.heading_error_deg
+    }
+
+    /// Rotation of the platform about the east and the north axis as estimated, milliradians.
+    #[getter]
+    fn tilt_error_mrad(&self) -> (f64, f64) {
+        self.inner.tilt_error_mrad.into()
     }
 
     /// Error of the sensor as estimated, map's unit.
@@ -395,6 +540,13 @@ impl PyNavigationStep {
 ///     Position sigma up to which the field is straight enough to track, metres; from the map if not given.
 /// integrity_risk : float
 ///     Probability with which the error may exceed the protection level.
+/// terms_covariance : (m, m)
+///     Covariance of the coefficients of terms that the readings contain besides the field (the vehicle's own: Tolles-Lawson), which are then
+///     states of the filter; `terms` of a step are what they are multiplied by.
+/// matcher : MatcherPlan or None
+///     The matcher beside the filter, for a start known to kilometres, for a lost lock and a look round now and then; None for none.
+/// method : str
+///     `navigator`; to compare with, the textbooks' `ekf` (extended Kalman filter) and, for whole flights only, `rbpf` (Rao-Blackwellised particles).
 /// latitude_deg : float
 ///     Latitude of a map in projected metres.
 ///
@@ -434,6 +586,9 @@ impl PyNavigator {
     #[pyo3(signature = (grid, **options))]
     fn new(grid: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyRes<Self> {
         let options = self::options(options)?;
+        if options.method == Method::Rbpf {
+            return Err(invalid("method", "'navigator' or 'ekf' ('rbpf' is for whole flights: navigate)", "'rbpf'"));
+        }
         let field = field(grid)?;
         let inner = Shared::new(Navigator::new(field.clone(), options)?);
         Ok(Self { field, map: grid.clone().unbind(), inner })
@@ -442,8 +597,8 @@ impl PyNavigator {
     /// Go on to what the INS indicates now, and take in a reading where there is one.
     ///
     /// `x`, `y` in map units, `velocity_m_s` (east, north), `heading_deg` clockwise from north, `value` in the map's unit (None or NaN: no reading).
-    /// A velocity of None is the difference of positions, a heading of None the course. Returns a `NavigationStep`.
-    #[pyo3(signature = (time_s, x, y, velocity_m_s = None, heading_deg = None, value = None))]
+    /// A velocity of None is the difference of positions, a heading of None the course. `terms` (m,) go with `terms_covariance`. Returns a `NavigationStep`.
+    #[pyo3(signature = (time_s, x, y, velocity_m_s = None, heading_deg = None, value = None, *, height_m = None, terms = None))]
     #[allow(clippy::too_many_arguments)] // one each
     fn step(
         &self,
@@ -454,10 +609,76 @@ impl PyNavigator {
         velocity_m_s: Option<&Bound<'_, PyAny>>,
         heading_deg: Option<f64>,
         value: Option<f64>,
+        height_m: Option<f64>,
+        terms: Option<&Bound<'_, PyAny>>,
     ) -> PyRes<PyNavigationStep> {
         let velocity_m_s = velocity_m_s.map(|v| pair("velocity_m_s", v)).transpose()?;
-        let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, value };
-        Ok(PyNavigationStep { inner: self.inner.with(py, |n| n.step(&indicated))? })
+        let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value };
+        // A step may hold a match, which takes a while.
+        let terms = optional_vector("terms", terms)?.unwrap_or_default();
+        let inner = self.inner.detached(py, |n| n.step_with_terms(&indicated, &terms))?;
+        Ok(PyNavigationStep { inner })
+    }
+
+    /// Take a matcher's fix of the newest indicated position.
+    ///
+    /// It must be ok and have a covariance. Returns its normalised innovation squared and whether it contradicted the filter, which then
+    /// started anew from it.
+    fn correct(&self, py: Python<'_>, fix: &PyFix) -> PyRes<(f64, bool)> {
+        let fix = fix.inner.clone();
+        Ok(answer(self.inner.with(py, |n| n.correct(&fix))?))
+    }
+
+    /// Take a position from elsewhere (GNSS, terrain, a sighting) for the newest step.
+    ///
+    /// `offset_m` is true minus indicated, metres (east, north), `covariance_m2` its covariance. Returns as `correct`.
+    fn correct_position(
+        &self,
+        py: Python<'_>,
+        offset_m: &Bound<'_, PyAny>,
+        covariance_m2: &Bound<'_, PyAny>,
+    ) -> PyRes<(f64, bool)> {
+        let (offset, covariance) = (pair("offset_m", offset_m)?, covariance(covariance_m2)?);
+        Ok(answer(self.inner.with(py, |n| n.correct_position(offset, covariance))?))
+    }
+
+    /// Take a velocity from elsewhere (Doppler log, odometer with a heading) for the newest step: true, m/s (east, north).
+    ///
+    /// Returns as `correct`.
+    fn correct_velocity(&self, py: Python<'_>, velocity_m_s: &Bound<'_, PyAny>, sigma_m_s: f64) -> PyRes<(f64, bool)> {
+        let velocity = pair("velocity_m_s", velocity_m_s)?;
+        Ok(answer(self.inner.with(py, |n| n.correct_velocity(velocity, sigma_m_s))?))
+    }
+
+    /// Start anew at a place, map units, known with this covariance; what is known of the INS's other errors is kept.
+    fn reset(&self, py: Python<'_>, x: f64, y: f64, covariance_m2: &Bound<'_, PyAny>) -> PyRes<()> {
+        let covariance = covariance(covariance_m2)?;
+        Ok(self.inner.with(py, |n| n.reset([x, y], covariance))?)
+    }
+
+    /// Covariance of the position along a planned path, (n, 2, 2) square metres, if a reading comes at every step.
+    ///
+    /// The Cramer-Rao bound of the filter's own model with slopes at the truth, from what is known now. `x`, `y` in map units, velocities and headings from the
+    /// path where they are not given. The navigator stays as it is.
+    #[pyo3(signature = (time_s, x, y, *, velocity_m_s = None, heading_deg = None, height_m = None))]
+    #[allow(clippy::too_many_arguments)] // one each
+    fn predict_bound<'py>(
+        &self,
+        py: Python<'py>,
+        time_s: &Bound<'py, PyAny>,
+        x: &Bound<'py, PyAny>,
+        y: &Bound<'py, PyAny>,
+        velocity_m_s: Option<&Bound<'py, PyAny>>,
+        heading_deg: Option<&Bound<'py, PyAny>>,
+        height_m: Option<&Bound<'py, PyAny>>,
+    ) -> PyRes<Bound<'py, PyAny>> {
+        let log = Log::new(time_s, x, y, velocity_m_s, heading_deg, height_m, None)?;
+        log.input().check()?;
+        let path: Vec<Indicated> =
+            (0..log.time_s.len()).map(|k| Indicated { value: Some(0.0), ..log.input().at(k) }).collect();
+        let ahead = self.inner.with(py, |n| n.clone());
+        let bound = py.detach(|| ahead.predict_bound(&path))?;
+        shaped(py, bound.iter().flat_map(|c| c.concat()).collect(), &[bound.len(), 2, 2])
     }
 
     /// `acquiring`, `tracking`, `coasting` or `lost`.
@@ -521,6 +742,63 @@ impl PyNavigator {
     }
 }
 
+fn answer(correction: Correction) -> (f64, bool) {
+    (correction.nis, correction.reset)
+}
+
+/// Columns of a log as they were passed.
+struct Log {
+    time_s: Vec<f64>,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    velocity_m_s: Option<Vec<[f64; 2]>>,
+    heading_deg: Option<Vec<f64>>,
+    height_m: Option<Vec<f64>>,
+    readings: Option<Vec<f64>>,
+    terms: Option<Vec<f64>>,
+}
+
+impl Log {
+    #[allow(clippy::too_many_arguments)] // one each
+    fn new(
+        time_s: &Bound<'_, PyAny>,
+        x: &Bound<'_, PyAny>,
+        y: &Bound<'_, PyAny>,
+        velocity_m_s: Option<&Bound<'_, PyAny>>,
+        heading_deg: Option<&Bound<'_, PyAny>>,
+        height_m: Option<&Bound<'_, PyAny>>,
+        readings: Option<&Bound<'_, PyAny>>,
+    ) -> PyRes<Self> {
+        let time_s = vector("time_s", time_s)?;
+        let n = time_s.len();
+        // A height of the whole flight may be one number.
+        let height_m = optional_vector("height_m", height_m)?.map(|h| if h.len() == 1 { vec![h[0]; n] } else { h });
+        Ok(Self {
+            x: vector("x", x)?,
+            y: vector("y", y)?,
+            velocity_m_s: velocity_m_s.map(|v| pairs("velocity_m_s", v)).transpose()?,
+            heading_deg: optional_vector("heading_deg", heading_deg)?,
+            height_m,
+            readings: optional_vector("readings", readings)?,
+            terms: None,
+            time_s,
+        })
+    }
+
+    fn input(&self) -> FlightInput<'_> {
+        FlightInput {
+            time_s: &self.time_s,
+            x: &self.x,
+            y: &self.y,
+            velocity_m_s: self.velocity_m_s.as_deref(),
+            heading_deg: self.heading_deg.as_deref(),
+            height_m: self.height_m.as_deref(),
+            readings: self.readings.as_deref(),
+            terms: self.terms.as_deref(),
+        }
+    }
+}
+
 /// (n, 2) numbers.
 fn pairs(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Vec<[f64; 2]>> {
     let (values, rows, columns) = matrix(what, object)?;
@@ -545,6 +823,7 @@ fn columns<'py>(py: Python<'py>, flight: &Flight) -> PyRes<Bound<'py, PyDict>> {
     out.set_item("covariance_filter_m2", four(&|s| s.covariance_filter_m2)?)?;
     out.set_item("velocity_error_m_s", two(&|s| s.velocity_error_m_s)?)?;
     out.set_item("heading_error_deg", number(&|s| s.heading_error_deg)?)?;
+    out.set_item("tilt_error_mrad", two(&|s| s.tilt_error_mrad)?)?;
     out.set_item("bias", number(&|s| s.bias)?)?;
     out.set_item("nis", number(&|s| s.nis.unwrap_or(f64::NAN))?)?;
     out.set_item("running_nis", number(&|s| s.running_nis)?)?;
@@ -556,13 +835,21 @@ fn columns<'py>(py: Python<'py>, flight: &Flight) -> PyRes<Bound<'py, PyDict>> {
     out.set_item("reason", words(&|s| s.reason.as_str()))?;
     out.set_item("outcome", words(&|s| s.outcome.as_str()))?;
     out.set_item("inputs", flight.inputs.as_str())?;
+    out.set_item("state", shaped(py, flight.state.clone(), &[flight.state.len()])?)?;
+    if let Some(smoothed) = &flight.smoothed {
+        out.set_item("smooth_x", shaped(py, smoothed.iter().map(|s| s.x).collect(), &[n])?)?;
+        out.set_item("smooth_y", shaped(py, smoothed.iter().map(|s| s.y).collect(), &[n])?)?;
+        let covariance = smoothed.iter().flat_map(|s| s.covariance_m2.concat()).collect();
+        out.set_item("smooth_covariance_m2", shaped(py, covariance, &[n, 2, 2])?)?;
+    }
     Ok(out)
 }
 
 /// Columns of a whole flight; see `geomag.navigate`.
 #[pyfunction]
 #[pyo3(name = "_navigate", signature = (grid, time_s, x, y, *, velocity_m_s = None, heading_deg = None, readings = None,
-                                        progress = None, **options))]
+                                        height_m = None, terms = None, lag_s = None, progress = None,
+                                        **options))]
 #[allow(clippy::too_many_arguments)] // one each
 pub fn py_navigate<'py>(
     py: Python<'py>,
@@ -573,28 +860,26 @@ pub fn py_navigate<'py>(
     velocity_m_s: Option<&Bound<'py, PyAny>>,
     heading_deg: Option<&Bound<'py, PyAny>>,
     readings: Option<&Bound<'py, PyAny>>,
+    height_m: Option<&Bound<'py, PyAny>>,
+    terms: Option<&Bound<'py, PyAny>>,
+    lag_s: Option<f64>,
     progress: Option<&Bound<'py, PyAny>>,
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyRes<Bound<'py, PyDict>> {
     let options = self::options(options)?;
     let field = field(grid)?;
     let geographic = field.geographic();
-    let (time_s, x, y) = (vector("time_s", time_s)?, vector("x", x)?, vector("y", y)?);
-    let velocity = velocity_m_s.map(|v| pairs("velocity_m_s", v)).transpose()?;
-    let heading = heading_deg.map(|v| vector("heading_deg", v)).transpose()?;
-    let readings = readings.map(|v| vector("readings", v)).transpose()?;
-    // A step takes a few microseconds.
-    let units = time_s.len() as u64 * 5000;
-    let flight = long_call::run(py, units, None, progress, move |monitor| {
-        let input = FlightInput {
-            time_s: &time_s,
-            x: &x,
-            y: &y,
-            velocity_m_s: velocity.as_deref(),
-            heading_deg: heading.as_deref(),
-            readings: readings.as_deref(),
-        };
-        navigate(field, &input, options, monitor)
+    let mut log = Log::new(time_s, x, y, velocity_m_s, heading_deg, height_m, readings)?;
+    log.terms = terms.map(|t| matrix("terms", t).map(|t| t.0)).transpose()?;
+    let smoothing = match lag_s {
+        None => Smoothing::No,
+        Some(f64::INFINITY) => Smoothing::Flight,
+        Some(lag) => Smoothing::Lag(lag),
+    };
+    // A step takes a few microseconds, a match now and then some milliseconds.
+    let units = log.time_s.len() as u64 * 20_000;
+    let flight = long_call::run(py, units, None, progress, |monitor| {
+        navigate(field, &log.input(), options, smoothing, monitor)
     })?;
     let out = columns(py, &flight)?;
     out.set_item("geographic", geographic)?;

@@ -19,21 +19,25 @@ const SPIKE_SIGMA: f64 = 0.6;
 const MAD_TO_SIGMA: f64 = 1.4826;
 
 /// One reading where it was indicated.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Reading {
     pub value: f64,
     pub time_s: f64,
     /// Indicated place, map units.
     pub x: f64,
     pub y: f64,
+    /// Metres above the map's height datum, where it matters.
+    pub height_m: Option<f64>,
     /// Standard deviation of the map's error there.
     pub sigma: f64,
+    /// What the coefficients of the vehicle's own field are multiplied by; empty without any.
+    pub terms: Vec<f64>,
 }
 
 /// Readings waiting to be used.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Batch {
-    readings: Vec<Reading>,
+    pub readings: Vec<Reading>,
     /// Indicated way since the first of them, metres.
     pub gathered_m: f64,
     /// Way over which to gather, metres.
@@ -43,11 +47,12 @@ pub(super) struct Batch {
     seen: u32,
 }
 
-/// The readings of a batch that are used, with their weights.
+/// The readings of a batch that are used, by their place in it, with their weights.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Chosen {
-    pub readings: Vec<(Reading, f64)>,
+    pub readings: Vec<(usize, f64)>,
     residuals: Vec<f64>,
+    absolute: Vec<f64>,
     sorted: Vec<f64>,
     /// Root mean square of the map's sigma under them.
     pub sigma: f64,
@@ -65,12 +70,19 @@ impl Batch {
         self.readings.clear();
     }
 
-    pub fn is_whole(&self) -> bool {
+    /// Whether saved numbers make a batch of readings with so many terms.
+    pub fn is_whole(&self, terms: usize) -> bool {
         self.readings.len() <= MOST
             && self.gathered_m.is_finite()
             && self.length_m.is_finite()
+            && (self.readings.is_empty() || self.every > 0)
             && self.readings.iter().all(|r| {
-                [r.value, r.time_s, r.x, r.y].iter().all(|v| v.is_finite()) && r.sigma.is_finite() && r.sigma >= 0.0
+                [r.value, r.time_s, r.x, r.y].iter().all(|v| v.is_finite())
+                    && r.sigma.is_finite()
+                    && r.sigma >= 0.0
+                    && r.height_m.is_none_or(f64::is_finite)
+                    && r.terms.len() == terms
+                    && r.terms.iter().all(|t| t.is_finite())
             })
     }
 
@@ -78,8 +90,9 @@ impl Batch {
     pub fn push(&mut self, reading: Reading, law: &MapLaw, place: Place) {
         if self.readings.is_empty() {
             (self.gathered_m, self.every, self.seen) = (0.0, 1, 0);
-            self.length_m = law.batch_m(place.distance_m);
+            self.length_m = 0.0;
         }
+        self.length_m = self.length_m.max(law.batch_m(place.distance_m));
         if self.seen % self.every == 0 {
             if self.readings.len() == MOST {
                 let mut keep = false;
@@ -104,35 +117,35 @@ impl Batch {
     pub fn choose(&self, now_s: f64, law: &MapLaw, noise: f64, expected: impl Fn(&Reading) -> f64, out: &mut Chosen) {
         out.readings.clear();
         out.residuals.clear();
-        for reading in &self.readings {
+        for (place, reading) in self.readings.iter().enumerate() {
             let residual = reading.value - expected(reading);
             if !residual.is_nan() {
-                out.readings.push((*reading, 0.0));
+                out.readings.push((place, 0.0));
                 out.residuals.push(residual);
             }
         }
-        let median = median(&out.residuals, &mut out.sorted);
+        let centre = median(&out.residuals, &mut out.sorted);
         for r in &mut out.residuals {
-            *r -= median;
+            *r -= centre;
         }
-        let deviation = {
-            let absolute: Vec<f64> = out.residuals.iter().map(|r| r.abs()).collect();
-            self::median(&absolute, &mut out.sorted)
-        };
+        out.absolute.clear();
+        out.absolute.extend(out.residuals.iter().map(|r| r.abs()));
+        let deviation = median(&out.absolute, &mut out.sorted);
         let mut k = 0;
         let residuals = &out.residuals;
-        out.readings.retain(|(reading, _)| {
-            let usual = SPIKE_SIGMA * reading.sigma.hypot(noise);
+        out.readings.retain(|(place, _)| {
+            let usual = SPIKE_SIGMA * self.readings[*place].sigma.hypot(noise);
             let kept = residuals[k].abs() <= SPIKE * deviation.max(usual);
             k += 1;
             kept
         });
         let least = law.crossover().powi(2) + noise * noise;
         let weigh = |r: &Reading| 1.0 / (r.sigma * r.sigma + least).max(f64::MIN_POSITIVE);
-        let total: f64 = out.readings.iter().map(|(r, _)| weigh(r)).sum();
+        let total: f64 = out.readings.iter().map(|(place, _)| weigh(&self.readings[*place])).sum();
         (out.value, out.age_s) = (0.0, 0.0);
         let mut square = 0.0;
-        for (reading, weight) in &mut out.readings {
+        for (place, weight) in &mut out.readings {
+            let reading = &self.readings[*place];
             *weight = weigh(reading) / total;
             out.value += *weight * reading.value;
             out.age_s += *weight * (now_s - reading.time_s);

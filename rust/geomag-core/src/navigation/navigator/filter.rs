@@ -10,7 +10,7 @@ fn padded(states: usize) -> usize {
 }
 
 /// Mean and covariance of the errors; the covariance is symmetric, updated in Joseph's form.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Filter {
     states: usize,
     /// Padded with zeros, as the rows of the covariance are.
@@ -30,9 +30,10 @@ pub(super) struct Predicted {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Scratch {
     product: Vec<f64>,
+    turned: Vec<f64>,
     gain: Vec<f64>,
     /// P H' of the newest measurement.
-    cross: Vec<f64>,
+    pub cross: Vec<f64>,
 }
 
 /// y += a x.
@@ -91,6 +92,12 @@ impl Filter {
         self.covariance[j * stride + i] = value;
     }
 
+    /// Adds to a variance.
+    pub fn widen(&mut self, i: usize, variance: f64) {
+        let stride = padded(self.states);
+        self.covariance[i * stride + i] += variance;
+    }
+
     /// Makes a state independent of all others, with a variance of its own.
     pub fn separate(&mut self, i: usize, variance: f64) {
         for j in 0..self.states {
@@ -126,23 +133,45 @@ impl Filter {
                 &self.covariance[i * stride..(i + 1) * stride],
             );
         }
-        // From the right, upper half only.
+        // Phi (Phi P)': row by row, from the rows of P Phi'.
+        let turned = &mut scratch.turned;
+        turned.clear();
+        turned.resize(n * stride, 0.0);
         for i in 0..n {
-            let row = &product[i * stride..(i + 1) * stride];
-            for j in i..n {
-                let value = if j < COUPLED {
-                    let mut sum = 0.0;
-                    for k in 0..INS_STATES {
-                        sum += row[k] * phi[j][k];
-                    }
-                    sum
-                } else {
-                    row[j] * factors[j - COUPLED]
-                };
-                self.covariance[i * stride + j] = value;
-                self.covariance[j * stride + i] = value;
+            for j in 0..n {
+                turned[j * stride + i] = product[i * stride + j];
             }
-            self.covariance[i * stride + i] += noise[i];
+        }
+        for i in 0..COUPLED {
+            let row = &mut self.covariance[i * stride..(i + 1) * stride];
+            row.fill(0.0);
+            for k in 0..INS_STATES {
+                let a = phi[i][k];
+                if a != 0.0 {
+                    add_scaled(row, a, &turned[k * stride..(k + 1) * stride]);
+                }
+            }
+        }
+        for i in COUPLED..n {
+            let row = &mut self.covariance[i * stride..(i + 1) * stride];
+            row.fill(0.0);
+            add_scaled(row, factors[i - COUPLED], &turned[i * stride..(i + 1) * stride]);
+        }
+        self.make_symmetric();
+        for (i, q) in noise.iter().enumerate() {
+            self.covariance[i * stride + i] += q;
+        }
+    }
+
+    /// What rounding left between the two halves is shared.
+    fn make_symmetric(&mut self) {
+        let (n, stride) = (self.states, padded(self.states));
+        for i in 0..n {
+            for j in 0..i {
+                let mean = 0.5 * (self.covariance[i * stride + j] + self.covariance[j * stride + i]);
+                self.covariance[i * stride + j] = mean;
+                self.covariance[j * stride + i] = mean;
+            }
         }
     }
 
@@ -186,12 +215,6 @@ impl Filter {
             let left: f64 = slopes.iter().map(|&(k, h)| h * row[k]).sum();
             add_scaled(row, noise * gain[i] - left, gain);
         }
-        for i in 0..n {
-            for j in 0..i {
-                let mean = 0.5 * (self.covariance[i * stride + j] + self.covariance[j * stride + i]);
-                self.covariance[i * stride + j] = mean;
-                self.covariance[j * stride + i] = mean;
-            }
-        }
+        self.make_symmetric();
     }
 }

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 
 use super::Navigator;
-use super::options::NavigatorOptions;
+use super::options::{Method, NavigatorOptions};
 use super::outcome::{Indicated, Inputs, NavigatorStep};
-use crate::error::{Error, Result};
+use super::particles::Particles;
+use super::smooth::Record;
+use crate::error::{Error, Result, require_not_negative};
 use crate::field::Field;
 use crate::monitor::Monitor;
 
@@ -25,8 +27,12 @@ pub struct FlightInput<'a> {
     pub velocity_m_s: Option<&'a [[f64; 2]]>,
     /// Degrees clockwise from north.
     pub heading_deg: Option<&'a [f64]>,
+    /// Metres above the map's height datum.
+    pub height_m: Option<&'a [f64]>,
     /// Measured values, NaN where there is none.
     pub readings: Option<&'a [f64]>,
+    /// What the coefficients of the vehicle's own field are multiplied by, row by row: as many a step as the options have a covariance for.
+    pub terms: Option<&'a [f64]>,
 }
 
 impl FlightInput<'_> {
@@ -40,13 +46,18 @@ impl FlightInput<'_> {
         self.time_s.is_empty()
     }
 
-    fn check(&self) -> Result<()> {
+    /// Checks that the columns fit each other.
+    ///
+    /// # Errors
+    /// [`Error::Shape`], [`Error::TooFewSamples`].
+    pub fn check(&self) -> Result<()> {
         let n = self.len();
         let lengths = [
             ("x", Some(self.x.len())),
             ("y", Some(self.y.len())),
             ("velocity_m_s", self.velocity_m_s.map(<[_]>::len)),
             ("heading_deg", self.heading_deg.map(<[_]>::len)),
+            ("height_m", self.height_m.map(<[_]>::len)),
             ("readings", self.readings.map(<[_]>::len)),
         ];
         for (name, len) in lengths {
@@ -60,13 +71,15 @@ impl FlightInput<'_> {
         Ok(())
     }
 
-    fn at(&self, k: usize) -> Indicated {
+    /// One step of it.
+    pub fn at(&self, k: usize) -> Indicated {
         Indicated {
             time_s: self.time_s[k],
             x: self.x[k],
             y: self.y[k],
             velocity_m_s: self.velocity_m_s.map(|v| v[k]),
             heading_deg: self.heading_deg.map(|h| h[k]),
+            height_m: self.height_m.map(|h| h[k]),
             value: self.readings.map(|r| r[k]),
         }
     }
@@ -79,6 +92,32 @@ pub struct Flight {
     pub steps: Vec<NavigatorStep>,
     /// Which INS output there was.
     pub inputs: Inputs,
+    /// The estimated errors at the end: see [`Navigator::mean`].
+    pub state: Vec<f64>,
+    /// Every step with what came after it, where that was asked for.
+    pub smoothed: Option<Vec<SmoothedPlace>>,
+}
+
+/// How much of what came after a step is used for it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Smoothing {
+    /// None of it.
+    No,
+    /// What came until so many seconds after it.
+    Lag(f64),
+    /// The rest of the flight.
+    Flight,
+}
+
+/// A place with what came after it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SmoothedPlace {
+    /// Corrected place, map units.
+    pub x: f64,
+    /// Corrected place, map units.
+    pub y: f64,
+    /// Covariance as it is to be believed, square metres, east-north.
+    pub covariance_m2: [[f64; 2]; 2],
 }
 
 /// Navigates through a whole log.
@@ -90,18 +129,58 @@ pub fn navigate(
     field: Arc<dyn Field>,
     input: &FlightInput<'_>,
     options: NavigatorOptions,
+    smoothing: Smoothing,
     monitor: &dyn Monitor,
 ) -> Result<Flight> {
     input.check()?;
-    let mut navigator = Navigator::new(field, options)?;
+    if let Smoothing::Lag(lag) = smoothing {
+        require_not_negative("lag_s", lag)?;
+    }
     let mut steps = Vec::with_capacity(input.len());
+    let terms = options.terms();
+    let given = input.terms.unwrap_or(&[]);
+    if given.len() != terms * input.len() {
+        let needed = format!("({}, {terms}) as time_s and terms_covariance", input.len());
+        return Err(Error::shape("terms", needed, format!("{} numbers", given.len())));
+    }
+    if options.method == Method::Rbpf {
+        if smoothing != Smoothing::No {
+            return Err(Error::invalid("smooth", "None with method 'rbpf'", "a lag"));
+        }
+        let mut particles = Particles::new(field, options)?;
+        for k in 0..input.len() {
+            if k % REPORT == 0 {
+                monitor.advance(k as u64, input.len() as u64)?;
+            }
+            steps.push(particles.step(&input.at(k)).map_err(|e| at_step(e, k))?);
+        }
+        return Ok(Flight { steps, inputs: particles.inputs(), state: particles.mean(), smoothed: None });
+    }
+    let mut navigator = Navigator::new(field, options)?;
+    navigator.record = (smoothing != Smoothing::No).then(Record::default);
     for k in 0..input.len() {
         if k % REPORT == 0 {
             monitor.advance(k as u64, input.len() as u64)?;
         }
-        steps.push(navigator.step(&input.at(k)).map_err(|e| at_step(e, k))?);
+        steps.push(
+            navigator.step_with_terms(&input.at(k), &given[k * terms..(k + 1) * terms]).map_err(|e| at_step(e, k))?,
+        );
     }
-    Ok(Flight { steps, inputs: navigator.inputs() })
+    let smoothed = navigator.record.as_ref().map(|record| {
+        let horizon = |k: usize| match smoothing {
+            Smoothing::Lag(lag) => input.time_s.partition_point(|t| *t <= input.time_s[k] + lag) - 1,
+            Smoothing::No | Smoothing::Flight => usize::MAX,
+        };
+        let places = record.smooth(horizon).into_iter().enumerate().map(|(k, s)| {
+            let [x, y] = navigator.corrected(navigator.field().wrap_x(input.x[k]), input.y[k], s.mean);
+            // What the innovations said of the covariance then holds of what came after, too.
+            let factor = steps[k].covariance_m2[0][0] / steps[k].covariance_filter_m2[0][0].max(f64::MIN_POSITIVE);
+            SmoothedPlace { x, y, covariance_m2: s.covariance.map(|row| row.map(|c| c * factor.max(1.0))) }
+        });
+        places.collect()
+    });
+    let state = navigator.mean().to_vec();
+    Ok(Flight { steps, inputs: navigator.inputs(), state, smoothed })
 }
 
 /// Names the step in an error.

@@ -1,16 +1,21 @@
 //! What the map says of its own errors, as a filter needs it; and what is taken where it says nothing.
 
-use super::options::NavigatorOptions;
+use super::options::{Method, NavigatorOptions};
 use crate::field::Field;
 use crate::grid::{GridMap, Interpolation};
 use crate::map_error::{DistanceLayer, FilterLaw};
 
 /// Correlation length of the errors where only a standard deviation is stated, in distances to the data.
 const USUAL_CORRELATION: f64 = 1.5;
-/// Batches gather readings over so many correlation lengths.
-const BATCH_CORRELATIONS: f64 = 1.5;
+/// Batches gather readings over so many correlation lengths, however many readings that are: one and a half, and what readings far apart add
+/// by overshooting.
+const BATCH_CORRELATIONS: f64 = 2.0;
 /// Longest stretch of a batch, metres.
 const LONGEST_BATCH_M: f64 = 20_000.0;
+/// Range over which a map of lines is straight enough to track, in median distances to the data.
+const STRAIGHT: f64 = 2.5;
+/// Samples of the matcher's windows are this share of it apart.
+const WINDOW_SPACING: f64 = 0.7;
 /// Nodes that are looked at, along each axis, for what is typical of a map.
 const LOOKS: usize = 128;
 
@@ -43,11 +48,12 @@ pub(super) struct MapLaw {
 impl MapLaw {
     /// From what the field knows of itself and what was asked for.
     pub fn new(field: &dyn Field, options: &NavigatorOptions) -> Self {
-        let grid = field.as_grid();
+        let grid = field.layout();
         let model = grid.and_then(GridMap::error_model);
         let looked = Looked::at(field);
         let bare = grid.is_some_and(|g| g.map_sigma().is_none() && g.error_model().is_none());
-        let exact = !bare && model.is_none() && looked.sigma == 0.0;
+        let textbook = options.method != Method::Navigator;
+        let exact = textbook || (!bare && model.is_none() && looked.sigma == 0.0);
         let usual_distance_m = match model.map(|m| &m.distance_m) {
             Some(DistanceLayer::Constant(d)) => *d,
             Some(DistanceLayer::Grid(_)) => looked.distance_m,
@@ -66,9 +72,13 @@ impl MapLaw {
         if exact {
             law.registration_m_per_d = options.registration.unwrap_or(0.0);
             law.crossover = 0.0;
+            if textbook {
+                law.sample_factor = 0.0;
+                law.registration_m_per_d = 0.0;
+            }
         }
         // A map of lines is known at their spacing; over an exact one the field itself says how far it is straight.
-        let linear_m = if exact { looked.length_m } else { (1.2 * usual_distance_m).max(0.1 * looked.length_m) };
+        let linear_m = if exact { looked.length_m } else { STRAIGHT * usual_distance_m };
         Self {
             law,
             correlation: model.map_or(USUAL_CORRELATION, |m| m.correlation),
@@ -81,21 +91,32 @@ impl MapLaw {
     }
 
     /// What is known at a place; `None` where the field's error is unknown.
-    pub fn at(&self, field: &dyn Field, x: f64, y: f64) -> Option<Place> {
-        let sigma = field.known_sigma(x, y)?;
+    pub fn at(&self, field: &dyn Field, x: f64, y: f64, height_m: Option<f64>) -> Option<Place> {
+        let sigma = match height_m {
+            Some(height) => Some(field.sigma_at(x, y, height)).filter(|s| !s.is_nan()),
+            None => field.known_sigma(x, y),
+        }?;
         let sigma = if sigma == 0.0 { self.bare_sigma } else { sigma };
         Some(Place { sigma: self.law.sample_factor * sigma, distance_m: self.distance_m(field, x, y) })
     }
 
     /// Distance to the data at a place, metres.
     pub fn distance_m(&self, field: &dyn Field, x: f64, y: f64) -> f64 {
-        field.as_grid().and_then(|grid| distance_at(grid, x, y)).unwrap_or(self.usual_distance_m)
+        field.layout().and_then(|grid| distance_at(grid, x, y)).unwrap_or(self.usual_distance_m)
     }
 
     /// Stretch over which readings are gathered into one measurement, metres; zero takes every reading by itself.
+    ///
+    /// Where lines cross the distance is short and the errors are not: they are those of whole lines, whose levels disagree.
     pub fn batch_m(&self, distance_m: f64) -> f64 {
+        let distance_m = distance_m.max(self.usual_distance_m);
         let natural = if self.exact { 0.0 } else { BATCH_CORRELATIONS * self.correlation * distance_m };
         self.batch_m.unwrap_or(natural).min(LONGEST_BATCH_M)
+    }
+
+    /// Distance between samples of the matcher's windows, metres.
+    pub fn window_spacing_m(&self) -> f64 {
+        WINDOW_SPACING * self.linear_m
     }
 
     /// Variance of the mean error of a batch whose samples have this root-mean-square sigma.
@@ -148,13 +169,13 @@ struct Looked {
     cell_m: f64,
     /// Root mean square of what the nodes between others are missed by, value units.
     roughness: f64,
-    /// Standard deviation of the field over the root mean square of its slope, a quarter of it, metres.
+    /// Standard deviation of the field over the root mean square of its slope, half of it (a twelfth of a wavelength), metres.
     length_m: f64,
 }
 
 impl Looked {
     fn at(field: &dyn Field) -> Self {
-        let Some(grid) = field.as_grid() else {
+        let Some(grid) = field.layout() else {
             let spacing = field.spacing();
             let scale = field.metres_per_unit(0.0);
             let cell_m = 0.5 * (spacing[0] * scale[0] + spacing[1] * scale[1]);
@@ -193,14 +214,14 @@ impl Looked {
         }
         sigmas.sort_by(f64::total_cmp);
         distances.sort_by(f64::total_cmp);
-        let length_m = 0.25 * (square / slope.max(f64::MIN_POSITIVE)).sqrt();
+        let length_m = 0.5 * (square / slope.max(f64::MIN_POSITIVE)).sqrt();
         Self {
             sigma: sigmas.last().copied().unwrap_or(0.0),
             least_sigma: sigmas.get(sigmas.len() / 10).copied().unwrap_or(0.0),
             distance_m: distances.get(distances.len() / 2).copied().unwrap_or(cell_m),
             cell_m,
             roughness: if between > 0.0 { (missed / between).sqrt() } else { 0.0 },
-            length_m: if count > 0.0 { length_m.clamp(cell_m, 1e6) } else { cell_m },
+            length_m: if count > 0.0 { length_m.clamp(1.5 * cell_m, 1e6) } else { cell_m },
         }
     }
 }

@@ -14,25 +14,34 @@
 //! surveys is geomag's own.
 
 mod batch;
+mod carry;
+mod correct;
+mod doubt;
 mod filter;
 mod flight;
 mod ins;
 mod integrity;
 mod law;
 mod linear;
+mod measure;
 mod motion;
 mod options;
 mod outcome;
+mod particles;
+mod smooth;
 mod step;
 #[cfg(test)]
 mod tests;
+mod watch;
 
-pub use flight::{Flight, FlightInput, navigate};
+pub use correct::Correction;
+pub use flight::{Flight, FlightInput, SmoothedPlace, Smoothing, navigate};
 pub use ins::{GRAVITY_M_S2, InsModel};
 pub use integrity::radii_m;
 pub use motion::EARTH_RATE_RAD_S;
-pub use options::NavigatorOptions;
+pub use options::{Method, NavigatorOptions};
 pub use outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
+pub use watch::MatcherPlan;
 
 use std::sync::Arc;
 
@@ -42,16 +51,19 @@ use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::state::Saved;
 use batch::{Batch, Chosen};
+use doubt::{Shift, Stuck};
 use filter::{Filter, Scratch};
 use integrity::{Radius, RunningNis, widening};
 use law::MapLaw;
 use motion::{ACCELEROMETER, GYRO, INS_STATES, POSITION, TILT, VELOCITY};
+use smooth::Record;
+use watch::Watch;
 
 /// Bias of the field sensor.
 const BIAS: usize = INS_STATES;
 /// Displacement of the map's features, east; north is the next.
 const REGISTRATION: usize = INS_STATES + 1;
-/// All states.
+/// States without the coefficients of the vehicle's own field, which are the last.
 const STATES: usize = INS_STATES + 3;
 
 /// What was indicated at the newest step.
@@ -71,6 +83,9 @@ struct State {
     filter: Filter,
     batch: Batch,
     running: RunningNis,
+    watch: Watch,
+    stuck: Stuck,
+    shift: Shift,
     newest: Option<Newest>,
     inputs: Inputs,
     status: Status,
@@ -78,6 +93,7 @@ struct State {
     /// Time of the newest reading that the map has a value for.
     heard_s: Option<f64>,
     off_map: bool,
+    is_stuck: bool,
     /// Whether the newest single reading was far off.
     startled: bool,
     tracked: bool,
@@ -112,6 +128,7 @@ struct State {
 ///         y: y - 60.0,
 ///         velocity_m_s: Some([70.0, 0.0]),
 ///         heading_deg: Some(90.0),
+///         height_m: None,
 ///         value: Some(map.sample(x, y, Interpolation::Bilinear)),
 ///     })?);
 /// }
@@ -128,6 +145,12 @@ pub struct Navigator {
     widening: f64,
     scratch: Scratch,
     chosen: Chosen,
+    /// Slopes of the newest measurement, by state.
+    slopes: Vec<(usize, f64)>,
+    /// Slopes are those of the field at the mean itself.
+    exact_slopes: bool,
+    /// What the filter did, where it is to be smoothed.
+    record: Option<Record>,
     state: State,
 }
 
@@ -139,11 +162,13 @@ impl Saved for State {
         let newest_is_sound = self.newest.is_none_or(|n| {
             [n.time_s, n.x, n.y, n.velocity_m_s[0], n.velocity_m_s[1], n.heading_rad].iter().all(|v| v.is_finite())
         });
-        if self.filter.is_whole(STATES) && self.batch.is_whole() && self.running.is_sound() && newest_is_sound {
-            Ok(())
-        } else {
-            Err(Error::invalid("its numbers", "some that belong together", "others"))
-        }
+        let terms = self.options.terms();
+        let whole = self.filter.is_whole(STATES + terms)
+            && self.batch.is_whole(terms)
+            && self.running.is_sound()
+            && self.watch.is_whole()
+            && newest_is_sound;
+        if whole { Ok(()) } else { Err(Error::invalid("its numbers", "some that belong together", "others")) }
     }
 }
 
@@ -152,9 +177,13 @@ impl Navigator {
     ///
     /// # Errors
     /// As [`NavigatorOptions::validate`].
-    pub fn new(field: Arc<dyn Field>, options: NavigatorOptions) -> Result<Self> {
+    pub fn new(field: Arc<dyn Field>, mut options: NavigatorOptions) -> Result<Self> {
         options.validate()?;
-        let mut variances = [0.0; STATES];
+        if options.method != Method::Navigator {
+            (options.nu, options.matcher) = (f64::INFINITY, None);
+        }
+        let terms = options.terms();
+        let mut variances = vec![0.0; STATES + terms];
         for axis in 0..2 {
             variances[POSITION + axis] = options.covariance_m2[axis][axis];
             variances[VELOCITY + axis] = options.ins.velocity_sigma_m_s.powi(2);
@@ -168,17 +197,26 @@ impl Navigator {
         variances[BIAS] = options.bias_sigma.powi(2);
         let mut filter = Filter::new(&variances);
         filter.set(POSITION, POSITION + 1, options.covariance_m2[0][1]);
+        for i in 0..terms {
+            for j in 0..=i {
+                filter.set(STATES + i, STATES + j, options.terms_covariance[i * terms + j]);
+            }
+        }
         let state = State {
             options,
             filter,
             batch: Batch::default(),
             running: RunningNis::new(),
+            watch: Watch::new(),
+            stuck: Stuck::default(),
+            shift: Shift::default(),
             newest: None,
             inputs: Inputs::Full,
             status: Status::Acquiring,
             reason: Reason::StartUncertain,
             heard_s: None,
             off_map: false,
+            is_stuck: false,
             startled: false,
             tracked: false,
             last_fix_s: None,
@@ -190,14 +228,19 @@ impl Navigator {
 
     fn from_state(field: Arc<dyn Field>, state: State) -> Result<Self> {
         let law = MapLaw::new(field.as_ref(), &state.options);
-        let widening = widening(state.options.integrity_risk)?;
+        let textbook = state.options.method != Method::Navigator;
+        let risk = state.options.integrity_risk;
+        let (probability, widening) = if textbook { (1.0 - risk, 1.0) } else { (0.99, widening(risk)?) };
         Ok(Self {
             field,
             law,
-            radius: Radius::new(0.99),
+            radius: Radius::new(probability),
             widening,
             scratch: Scratch::default(),
             chosen: Chosen::default(),
+            slopes: Vec::new(),
+            exact_slopes: textbook,
+            record: None,
             state,
         })
     }
@@ -245,7 +288,7 @@ impl Navigator {
 
     /// Indicated minus true, as estimated: position (m) and velocity (m/s) east and north, tilts about north, east and down (rad), gyro
     /// biases forward, right and down (rad/s), accelerometer biases forward and right (m/s2), sensor bias (value units), displacement of the
-    /// map's features east and north (m).
+    /// map's features east and north (m), then the coefficients of the vehicle's own field.
     pub fn mean(&self) -> &[f64] {
         self.state.filter.mean()
     }
@@ -265,7 +308,8 @@ impl Navigator {
 
     /// The covariance that is reported.
     fn reported_m2(&self) -> [[f64; 2]; 2] {
-        let factor = self.state.running.factor();
+        let ours = self.state.options.method == Method::Navigator;
+        let factor = if ours { self.state.running.factor() } else { 1.0 };
         self.own_m2().map(|row| row.map(|c| factor * c))
     }
 }

@@ -4,7 +4,33 @@ use serde::{Deserialize, Serialize};
 
 use super::ins::InsModel;
 use super::integrity::widening;
+use super::watch::MatcherPlan;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+
+/// Which filter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum Method {
+    /// That of this module.
+    #[default]
+    Navigator,
+    /// The extended Kalman filter of the textbooks, for comparison: every reading by itself, gradient at the mean, noise of the sensor
+    /// alone, covariance reported as it is.
+    Ekf,
+    /// The Rao-Blackwellised particle filter of the textbooks, for comparison, in whole flights only: positions as 1,000 particles, the other
+    /// states in Kalman filters with one covariance, noise of the sensor alone.
+    Rbpf,
+}
+
+impl Method {
+    /// As it is written.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Navigator => "navigator",
+            Self::Ekf => "ekf",
+            Self::Rbpf => "rbpf",
+        }
+    }
+}
 
 /// Options of a [`Navigator`](super::Navigator). What the map's error model knows is taken from there.
 ///
@@ -39,6 +65,13 @@ pub struct NavigatorOptions {
     pub linear_m: Option<f64>,
     /// Probability with which the error may exceed the protection level.
     pub integrity_risk: f64,
+    /// Covariance of the coefficients of terms that the readings contain besides the field (the vehicle's own: Tolles-Lawson), row by row; empty
+    /// for readings without.
+    pub terms_covariance: Vec<f64>,
+    /// The matcher beside the filter; `None` for none.
+    pub matcher: Option<MatcherPlan>,
+    /// Which filter.
+    pub method: Method,
     /// Latitude of a map in projected metres, degrees: the Earth turns under it.
     pub latitude_deg: f64,
 }
@@ -59,6 +92,9 @@ impl NavigatorOptions {
             nu: 3.0,
             linear_m: None,
             integrity_risk: 1e-3,
+            terms_covariance: Vec::new(),
+            matcher: Some(MatcherPlan::default()),
+            method: Method::Navigator,
             latitude_deg: 45.0,
         }
     }
@@ -91,14 +127,40 @@ impl NavigatorOptions {
             return Err(Error::invalid("nu", "a number > 0", self.nu));
         }
         widening(self.integrity_risk)?;
+        if let Some(plan) = &self.matcher {
+            plan.validate()?;
+        }
+        let terms = self.terms();
+        if terms * terms != self.terms_covariance.len() || terms > MOST_TERMS {
+            let needed = format!("a square matrix of at most {MOST_TERMS} terms");
+            return Err(Error::invalid("terms_covariance", needed, format!("{} numbers", self.terms_covariance.len())));
+        }
+        require_finite("terms_covariance", &self.terms_covariance)?;
+        if terms > 0 {
+            let matrix = nalgebra::DMatrix::from_row_slice(terms, terms, &self.terms_covariance);
+            let symmetric = (&matrix - matrix.transpose()).amax() <= 1e-9 * matrix.amax();
+            if !symmetric || matrix.cholesky().is_none() {
+                return Err(Error::NotPositiveDefinite {
+                    what: "terms_covariance".into(),
+                    detail: "a covariance of independent coefficients has no zero and no negative variance".into(),
+                });
+            }
+        }
         if !(self.latitude_deg.abs() <= MOST_LATITUDE_DEG) {
             let needed = format!("a latitude within {MOST_LATITUDE_DEG} degrees of the equator");
             return Err(Error::invalid("latitude_deg", needed, self.latitude_deg));
         }
         Ok(())
     }
+
+    /// Terms that the readings contain besides the field.
+    pub fn terms(&self) -> usize {
+        self.terms_covariance.len().isqrt()
+    }
 }
 
+/// Most terms besides the field: Tolles-Lawson has 18.
+const MOST_TERMS: usize = 64;
 /// Greatest latitude at which east and north still mean something to an INS of this kind.
 pub(super) const MOST_LATITUDE_DEG: f64 = 89.0;
 /// Greatest standard deviation of a position, metres: half the way round the Earth.

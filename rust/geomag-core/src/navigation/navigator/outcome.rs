@@ -121,8 +121,17 @@ pub struct Indicated {
     pub velocity_m_s: Option<[f64; 2]>,
     /// Heading, degrees clockwise from north.
     pub heading_deg: Option<f64>,
+    /// Metres above the map's height datum; `None` where it does not matter.
+    pub height_m: Option<f64>,
     /// Measured value, map's unit; `None` or NaN where there is none.
     pub value: Option<f64>,
+}
+
+impl Indicated {
+    /// A position alone.
+    pub fn at(time_s: f64, x: f64, y: f64) -> Self {
+        Self { time_s, x, y, velocity_m_s: None, heading_deg: None, height_m: None, value: None }
+    }
 }
 
 /// Where a navigator is after a step.
@@ -138,8 +147,10 @@ pub struct NavigatorStep {
     pub covariance_filter_m2: [[f64; 2]; 2],
     /// Indicated minus true velocity as estimated, metres a second, east-north.
     pub velocity_error_m_s: [f64; 2],
-    /// Indicated minus true heading as estimated, degrees.
+    /// Indicated minus true heading as estimated, degrees clockwise.
     pub heading_error_deg: f64,
+    /// Rotation of the platform about the east and the north axis as estimated, milliradians.
+    pub tilt_error_mrad: [f64; 2],
     /// Error of the sensor as estimated, value units.
     pub bias: f64,
     /// How the navigator stands to the map.
