@@ -32,7 +32,7 @@ def scene():
 
 
 def messages(data):
-    return [m for m in mavlink.MAVLink(None).parse_buffer(data)]
+    return list(mavlink.MAVLink(None).parse_buffer(data))
 
 
 def test_a_fix_goes_out_with_its_covariance(scene):

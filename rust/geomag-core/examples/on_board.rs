@@ -42,6 +42,7 @@ pub fn main() -> Result<()> {
                 y,
                 velocity_m_s: Some(velocity),
                 heading_deg: Some(60.0),
+                height_m: None,
                 value: Some(value),
             };
             let step = navigator.step(&indicated)?;
@@ -49,7 +50,11 @@ pub fn main() -> Result<()> {
             let error = (step.x - true_x).hypot(step.y - true_y);
             beyond += u32::from(error > step.protection_level_m);
             if k + 1 == track.len() {
-                println!("{}: within {:.0} m, and in truth {error:.0} m off", step.status.as_str(), step.protection_level_m);
+                println!(
+                    "{}: within {:.0} m, and in truth {error:.0} m off",
+                    step.status.as_str(),
+                    step.protection_level_m
+                );
                 println!("{beyond} positions beyond their protection level");
                 assert!(error < 150.0 && beyond == 0, "the bound must hold");
             }
