@@ -104,7 +104,7 @@ def test_a_navigator_stops_before_the_pole():
         steps += 1
     before = repr(nav)
     for _ in range(3):
-        with pytest.raises(geomag.InvalidInputError, match=r"latitude within 89\.9"):
+        with pytest.raises(geomag.InvalidInputError, match="a latitude"):
             nav.step(600.0, 50.0, 0.0)
     assert repr(nav) == before
     assert nav.n_steps == steps > 10

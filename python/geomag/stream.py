@@ -44,6 +44,7 @@ _FIELDS = (
     "heading_deg",
     "scale",
     "bias",
+    "heights_m",
     "covariance_m2",
     "risk",
     "goodness",

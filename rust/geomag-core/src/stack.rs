@@ -282,8 +282,6 @@ impl Field for MapStack {
 pub enum Served<'a> {
     /// The field as it is.
     AsItIs(&'a dyn Field),
-    /// One level of a stack.
-    Level(GridMap),
     /// Some levels of a stack.
     Levels(MapStack),
     /// A field that can be evaluated anywhere, at these heights.
@@ -295,7 +293,6 @@ impl Served<'_> {
     pub fn field(&self) -> &dyn Field {
         match self {
             Self::AsItIs(field) => *field,
-            Self::Level(map) => map,
             Self::Levels(stack) => stack,
             Self::Evaluated(field) => &**field,
         }
@@ -384,7 +381,6 @@ pub fn served<'a>(field: &'a dyn Field, track: &Track) -> Result<Served<'a>> {
         return Ok(evaluated.map_or(Served::AsItIs(field), Served::Evaluated));
     };
     Ok(match track.height_m().and_then(extent) {
-        Some([low, high]) if low == high => Served::Level(stack.at(low)?),
         Some([low, high]) => Served::Levels(stack.around(low, high)),
         None => Served::AsItIs(field),
     })
