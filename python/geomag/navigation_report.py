@@ -31,7 +31,7 @@ Disturbance = Callable[[LineFlight, Inertial, Array, np.random.Generator], Array
 
 #: A flight that ends further off than this and than three standard deviations has diverged without a word.
 DIVERGED_M = 1000.0
-METHODS = ("navigator", "smoothed", "ekf", "windows")
+METHODS = ("navigator", "smoothed", "ekf", "rbpf", "windows")
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def calibrate_navigation(
     sensor : what is added to the readings; `FieldSensor()` by default (a bias of up to 50, a swing over hours, half a unit of noise, one outlier of 100 in a hundred).
     simulation : 'equations' draws the INS by its error equations, 'strapdown' by integrating its own readings (pyins, extra `ins`; maps in degrees).
     method : 'navigator'; 'smoothed', with what came after each step (the whole flight, or `smooth=` seconds); 'ekf', a textbook filter with the noise of the sensor alone
-        (`reading_sigma=`); 'windows', matched windows fed to `InsFeedback`.
+        (`reading_sigma=`); 'rbpf', a particle filter; 'windows', matched windows fed to `InsFeedback`.
     maps : maps of the lines that are kept, one a fold, instead of making them.
     disturb : called with the flight, the INS's output, the readings and a generator, returns readings as they are to be: outages, jumps, a stuck sensor.
     bound : whether to compute the Cramer-Rao bound along the true paths, for `ratio`.
@@ -401,7 +401,12 @@ def _run(
     if method == "windows":
         error, covariance, level, status = _windows(grid, flight, shown, readings, ins, position_sigma_m)
     else:
-        more = {"navigator": {}, "smoothed": {"smooth": "flight"}, "ekf": {"method": "ekf"}}[method] | options
+        more = {
+            "navigator": {},
+            "smoothed": {"smooth": "flight"},
+            "ekf": {"method": "ekf"},
+            "rbpf": {"method": "rbpf"},
+        }[method] | options
         flown: Navigation = navigate(
             grid, shown.time_s, shown.x, shown.y, velocity_m_s=shown.velocity_m_s, heading_deg=shown.heading_deg,
             readings=readings, ins=ins, position_sigma_m=max(position_sigma_m, 1.0), **more,

@@ -21,6 +21,7 @@ class Filter(StrEnum):
     navigator = "navigator"
     smoothed = "smoothed"
     ekf = "ekf"
+    rbpf = "rbpf"
     windows = "windows"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
     )
 
 
-def _for_filters(model: ErrorModel) -> dict[str, float]:
+def _for_filters(model: ErrorModel) -> dict[str, Any]:
     """What filters need: as learnt, or at least the law of a single sample."""
     if model.filter is not None:
         return asdict(model.filter)
