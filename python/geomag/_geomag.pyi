@@ -634,10 +634,8 @@ class MatcherPlan:
     def __ne__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
-class _NavigatorOptions(TypedDict, total=False):
-    ins: InsModel | None
+class _NavigatorTuning(TypedDict, total=False):
     start: _Pair | None
-    position_sigma_m: float | None
     covariance_m2: ArrayLike | None
     reading_sigma: float
     bias_sigma: float
@@ -651,6 +649,10 @@ class _NavigatorOptions(TypedDict, total=False):
     terms_covariance: ArrayLike
     method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float
+
+class _NavigatorOptions(_NavigatorTuning, total=False):
+    ins: InsModel | None
+    position_sigma_m: float | None
 
 @final
 class NavigationStep:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import ArrayLike, NDArray
 
-    from geomag._geomag import _NavigatorOptions
+    from geomag._geomag import _NavigatorTuning
 
 Progress = bool | Callable[[int, int], object] | None
 
@@ -116,7 +116,8 @@ class Navigation:
                 columns["tilt_error_east_mrad"], columns["tilt_error_north_mrad"] = value.T
             elif isinstance(value, np.ndarray) and value.ndim == 1 and one.name != "state":
                 columns[one.name] = value
-        return pandas.DataFrame(columns)
+        frame: pd.DataFrame = pandas.DataFrame(columns)
+        return frame
 
     def error_m(self, x: ArrayLike, y: ArrayLike, *, smoothed: bool = False) -> NDArray[np.float64]:
         """Corrected (or smoothed) minus true place, metres, (n, 2) east, north; `x`, `y` (n,) is the truth in map units."""
@@ -199,7 +200,7 @@ def navigate(
     terms: ArrayLike | None = None,
     smooth: float | Literal["flight"] | None = None,
     progress: Progress = None,
-    **options: Unpack[_NavigatorOptions],
+    **options: Unpack[_NavigatorTuning],
 ) -> Navigation:
     """Navigate through a whole log: what an INS indicated, corrected by readings of the field.
 
