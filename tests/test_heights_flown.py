@@ -14,7 +14,7 @@ import pytest
 import geomag
 from geomag import calibration, continuation, survey
 from geomag.survey import folds_of
-from geomag.survey._lines import windows_of
+from geomag.survey._survey import windows_of
 
 SAMPLES, SPACING_M, HALF_M, TOLERANCE_M = 40, 200.0, 1000.0, 200.0
 #: Heights of the first and the last sample above the map.

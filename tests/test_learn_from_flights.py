@@ -34,9 +34,9 @@ def test_one_calibration_flight_makes_a_grid_useful(scene, monkeypatch):
     monkeypatch.setattr("geomag.survey._trials.MOST_WINDOWS", 150)
     monkeypatch.setattr("geomag.survey._trials.FORECAST_WINDOWS", 20)
     field, grid, flights = scene
-    model = learn_from_flights(grid, flights, **SETTINGS)
-    assert model.distance_m == pytest.approx(450)
-    assert model.recalibration is not None
+    model = learn_from_flights(grid, flights, line_spacing_m=600.0, **SETTINGS)
+    assert model.distance_m == pytest.approx(150)
+    assert model.recalibration[0] <= 0.8
     made = with_errors(grid, None, model)
     assert (made.name, made.units) == ("made up", "nT")
     # The sigma is that of the interpolation between the nodes, within a factor of two.
@@ -57,7 +57,7 @@ def test_one_calibration_flight_makes_a_grid_useful(scene, monkeypatch):
         truth.append((wx[-1], wy[-1]))
     options = {"name": "unseen", "half_width_m": 800.0, "tolerance_m": 200.0}
     learnt, bare = (assess(m, tracks, np.array(truth), **options) for m in (made, grid))
-    assert learnt.fixed.mean() > bare.fixed.mean() + 0.2
+    assert learnt.fixed.mean() > bare.fixed.mean() + 0.1
     wrong, declared = np.sum(learnt.error_m[learnt.fixed] > 200), learnt.risk[learnt.fixed].sum()
     assert wrong <= declared + 3 * np.sqrt(declared + 1)
 

@@ -26,6 +26,8 @@ fn map(exact: bool) -> GridMap {
         registration: 0.05,
         distance_m: DistanceLayer::Constant(230.0),
         filter: None,
+        recalibration: None,
+        forecast: None,
     };
     map.with_error_model((!exact).then_some(model)).unwrap()
 }
@@ -53,6 +55,7 @@ fn flight(c: &mut Criterion) {
             heading_deg: Some(&heading),
             height_m: None,
             readings: Some(&readings),
+            terms: None,
         };
         let options = NavigatorOptions { matcher: None, ..NavigatorOptions::new(100.0) };
         let field: Arc<dyn Field> = map;

@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 
 import geomag
+from geomag import continuation
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -41,7 +42,7 @@ for ax, shown, title in ((axes[0, 0], grid, "the map, 80 m"), (axes[0, 1], up, "
 image = axes[1, 0].pcolormesh(axis / 1e3, axis / 1e3, up.sigma, cmap="viridis", vmax=float(np.quantile(up.sigma, 0.98)))
 axes[1, 0].set(title="sigma there (2 nT in the map)", aspect="equal", xlabel="east, km", ylabel="north, km")
 figure.colorbar(image, ax=axes[1, 0], label="nT")
-stack = grid.continue_to(geomag.continuation.levels(grid, 80.0, 500.0))
+stack = grid.continue_to(continuation.levels(grid, 80.0, 500.0))
 along = np.hypot(x - x[0], y - y[0]) / 1e3
 axes[1, 1].plot(along, readings - readings.mean(), "k.", ms=4, label="readings of a climb from 130 to 480 m")
 told = stack.sample(x, y, height)

@@ -30,6 +30,7 @@ class GridMap:
         *,
         geographic: bool = False,
         sigma: ArrayLike | None = None,
+        correlation_m: float | None = None,
         height_m: ArrayLike | None = None,
         name: str | None = None,
         units: str | None = None,
@@ -56,6 +57,8 @@ class GridMap:
     @property
     def sigma(self) -> float | _Floats | None: ...
     @property
+    def correlation_m(self) -> float | None: ...
+    @property
     def height_m(self) -> float | _Floats | None: ...
     def with_error_model(
         self,
@@ -70,6 +73,7 @@ class GridMap:
         crossover: float | None = None,
         registration_m_per_d: float | None = None,
         registration_length: float | None = None,
+        misfit_threshold: float | None = None,
         recalibration: tuple[float, float] | None = None,
         forecast: tuple[float, float] | None = None,
         layout: Literal["given", "values"] = "given",
@@ -193,6 +197,8 @@ class Fix:
     def risk(self) -> float | None: ...
     @property
     def goodness(self) -> float | None: ...
+    @property
+    def misfit(self) -> tuple[str, float, float] | None: ...
     @property
     def status(self) -> _Status: ...
     @property
@@ -1142,6 +1148,7 @@ class FieldNavigator:
         heading_walk_deg: float = 0.0,
         bias_sigma: float = 0.0,
         bias_walk: float = 0.0,
+        height_sigma_m: float = 0.0,
         gate: float | None = ...,
         field_sigma: bool = True,
         method: Literal["unscented", "extended"] = "unscented",
@@ -1200,11 +1207,16 @@ def match_posterior(
     max_risk: float = 0.01,
     step: _Pair | None = None,
     bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     position_sigma_m: float = 0.0,
     nu: float | None = None,
+    interpolation: str = "bilinear",
+    misfit_threshold: float | None = None,
     min_overlap: float = 0.8,
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
@@ -1221,11 +1233,16 @@ def match_posterior_many(
     max_risk: float = 0.01,
     step: _Pair | None = None,
     bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     position_sigma_m: float = 0.0,
     nu: float | None = None,
+    interpolation: str = "bilinear",
+    misfit_threshold: float | None = None,
     min_overlap: float = 0.8,
     min_goodness: float = 0.001,
     max_candidates: int = 4_000_000,
@@ -1245,6 +1262,7 @@ def predict_many(
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     nu: float | None = None,
+    interpolation: str = "bilinear",
     flights: int = 20,
     seed: int = 0,
     progress: _Progress = None,
@@ -1275,11 +1293,16 @@ class PosteriorMatcher:
         max_risk: float = 0.01,
         step: _Pair | None = None,
         bias_sigma: float | None = None,
+        leg_bias_sigma: float = 0.0,
+        bias_walk: float = 0.0,
+        height_sigma_m: float = 0.0,
         drift_sigma_m: float = 0.0,
         heading_sigma_deg: float = 0.0,
         scale_sigma: float = 0.0,
         position_sigma_m: float = 0.0,
         nu: float | None = None,
+        interpolation: str = "bilinear",
+        misfit_threshold: float | None = None,
         min_overlap: float = 0.8,
         min_goodness: float = 0.001,
         max_candidates: int = 4_000_000,

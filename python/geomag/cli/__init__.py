@@ -80,6 +80,7 @@ from geomag.cli import (  # noqa: E402
     reduce,  # noqa: F401
     reproduce,  # noqa: F401
     stream,  # noqa: F401
+    stress,  # noqa: F401
     suitability,  # noqa: F401
 )
 

@@ -9,6 +9,7 @@ import numpy as np
 from geomag._errors import TooFewSamplesError
 from geomag._geomag import GridMap, Track
 from geomag._ranges import above, at_least
+from geomag.survey._fit import INTERCEPT_PRIOR, SLOPE_PRIOR, recalibrated
 from geomag.survey._folds import Fold
 from geomag.survey._learn import USUAL_TRIALS, settled
 from geomag.survey._lines import Lines
@@ -19,7 +20,10 @@ from geomag.survey._survey import WINDOW, windows_of
 from geomag.survey._trials import Settings, flown
 
 #: Distance of the nodes to the data, cells: what lengths are measured in where nobody knows the lines. Sizes and lengths that are learnt make up for it.
-DISTANCE_CELLS = 1.5
+DISTANCE_CELLS = 2.0
+#: What is believed of the correlation length beforehand (centre, standard deviation of the logarithm): that of grids of which the lines are not known
+#: (`with_line_spacing`). A few flights move it less than the lines of a whole survey would.
+CORRELATION_PRIOR = (2.25, 0.35)
 #: The line spacing over the mean distance to the data.
 SPACINGS = 4.0
 #: Fewest windows that anything is learnt from.
@@ -48,7 +52,7 @@ def learn_from_flights(
     ----------
     grid : the map; its sigma and error model, if any, are not used.
     flights : true positions and readings, each flight a `Track` (map units and the map's unit), or `Lines`. Cut where readings stop or a flight turns back.
-    line_spacing_m : distance between the lines behind the grid, where it is known; 6 cells otherwise, which only sets the unit of lengths.
+    line_spacing_m : distance between the lines behind the grid, where it is known; 8 cells otherwise, which only sets the unit of lengths.
     spacing_m, half_width_m, tolerance_m, samples : as they will be flown (see `learn_errors`).
     seed : of starts and choices of windows.
     progress : True for a bar, or a callable (done, total).
@@ -65,7 +69,8 @@ def learn_from_flights(
     >>> grid = geomag.GridMap(field.sample(*(a.ravel() for a in np.meshgrid(axis, axis))).reshape(61, 61), axis, axis)
     >>> along = np.arange(500.0, 14_500.0, 50.0)
     >>> flights = [geomag.Track(along, 0 * along + y, field.sample(along, 0 * along + y)) for y in (3030.0, 7720.0, 12_330.0)]
-    >>> model = survey.learn_from_flights(grid, flights, spacing_m=200.0, half_width_m=1000.0, tolerance_m=250.0)
+    >>> options = {"spacing_m": 200.0, "half_width_m": 1000.0, "tolerance_m": 250.0, "samples": 20}
+    >>> model = survey.learn_from_flights(grid, flights, **options)
     >>> survey.with_errors(grid, None, model).sigma.shape
     (61, 61)
     """
@@ -99,6 +104,12 @@ def learn_from_flights(
     rng = np.random.default_rng(seed)
     independent = flown([part], settings, rng)
     law = Law(flights.survey.noise, 0.5 * SPACINGS * distance_m, axes.cell)
-    model = settled([part], law, settings, independent, rng, steps)
+    model = settled([part], law, settings, independent, rng, steps, correlation_prior=CORRELATION_PRIOR)
     model.distance_m = distance_m
+    if model.recalibration is not None:
+        # The same few flights gave the sizes of the errors, so that what they say of the risks is too kind.
+        slope, intercept = model.recalibration
+        computed = recalibrated(np.array(model.risks), (1 / slope, -intercept / slope))
+        model.recalibration = (min(slope, SLOPE_PRIOR[0]), max(intercept, INTERCEPT_PRIOR[0]))
+        model.risks = [float(r) for r in recalibrated(computed, model.recalibration)]
     return model

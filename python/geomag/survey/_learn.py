@@ -17,7 +17,7 @@ from geomag.survey._model import LEARNT_SPREAD, REGISTRATION, ErrorModel, Law
 from geomag.survey._steps import Progress, Steps
 from geomag.survey._surface import Axes, nearest, weight_of
 from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, Window, windows_of
-from geomag.survey._trials import LEAST_RISK, Settings, Trials, flown
+from geomag.survey._trials import CORRELATION_PRIOR, LEAST_RISK, Settings, Trials, flown
 
 #: Folds where nothing is said, and the fewest lines of each.
 FOLDS = 6
@@ -133,10 +133,11 @@ def settled(
     rng: np.random.Generator,
     steps: Steps,
     smoothing_m: float = 0.0,
+    correlation_prior: tuple[float, float] = CORRELATION_PRIOR,
 ) -> ErrorModel:
     """The error model that windows on unseen readings ask for: sizes, correlation, spread, how risks are to be read, forecast."""
     a, b, c = abc = _sizes(parts, law)
-    trials = Trials(parts, law, abc, settings, independent, rng, steps)
+    trials = Trials(parts, law, abc, settings, independent, rng, steps, correlation_prior)
     point, correlation = trials.search()
     best, share = trials.at(point), point.share
     line = fit_recalibration(best.risk[best.stated], best.wrong[best.stated], independent, LEAST_RISK)

@@ -36,7 +36,7 @@ SHARE_PRIOR = (0.5, 0.35)
 #: Statuses whose risk is no statement on the answer: the truth may lie elsewhere altogether.
 NO_STATEMENT = ("at_edge", "lost", "rejected")
 #: Levels of error that flights are simulated with for the forecast, and the most windows that it is learnt from.
-FORECAST_LEVELS = (1.0, 1.7, 2.9)
+FORECAST_LEVELS = (1.0, 2.0, 4.0, 8.0)
 FORECAST_WINDOWS = 200
 #: Risk at which the forecast counts a fix.
 FORECAST_RISK = 0.01
@@ -80,10 +80,10 @@ class Point:
         """Correlation length, in distances to the data."""
         return correlation_at(self.step)
 
-    def unlikely(self) -> float:
+    def unlikely(self, correlation_prior: tuple[float, float]) -> float:
         """Minus the logarithm of its prior."""
         told = (
-            (self.correlation, CORRELATION_PRIOR),
+            (self.correlation, correlation_prior),
             (self.share, SHARE_PRIOR),
         )
         return float(sum(0.5 * (np.log(value / centre) / spread) ** 2 for value, (centre, spread) in told))
@@ -142,6 +142,7 @@ class Trials:
     independent: float
     rng: np.random.Generator
     steps: Steps
+    correlation_prior: tuple[float, float] = CORRELATION_PRIOR
     seen: dict[Point, Outcome] = field(default_factory=dict)
     _maps: dict[float, list[tuple[GridMap, Array]]] = field(default_factory=dict)
 
@@ -197,7 +198,7 @@ class Trials:
         outcome = Outcome(
             np.array(risk)[known], away[known], away[known] > self.settings.tolerance_m, np.array(stated)[known]
         )
-        outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely()
+        outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely(self.correlation_prior)
         self.seen[point] = outcome
         self.steps.add(1.0)
         return outcome
@@ -272,10 +273,15 @@ class Trials:
                 )
             known = [one for one in found if one is not None]
             shares.append(float(np.mean([one.fix_probability for one in known])))
-            variance = float(np.mean([np.trace(one.covariance_m2) for one in known]))
+            # What is foretold where a fix is to be expected, as what was seen is of the windows that were fixed.
+            foretold = [float(np.trace(one.covariance_m2)) for one in known]
+            traces = [one for one in foretold if one <= self.settings.tolerance_m**2]
+            variance = float(np.mean(traces)) if traces else variance
             self.steps.add(1.0)
             if shares[-1] <= observed:
                 break
+        if not variance > 0:
+            return None
         logs = np.log(FORECAST_LEVELS[: len(shares)])
         order = np.argsort(shares)
         level = float(np.exp(np.interp(observed, np.array(shares)[order], logs[order])))

@@ -63,6 +63,18 @@ impl std::fmt::Display for Status {
     }
 }
 
+/// An effect that was not told and that the readings clearly ask for: why an answer that would have been a fix is rejected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Misfit {
+    /// `height`, `legs`, `bias_walk`, `reading_scale`, `heading`, `scale` or `drift`.
+    pub effect: String,
+    /// Its size where it fits best: metres above the map, value units (largest step between legs; change of the bias from the first
+    /// sample to the newest), factor on the map's values, degrees, factor on distance, metres from the first sample to the newest.
+    pub estimate: f64,
+    /// Logarithm of the evidence of the model with the effect over that of the model as told, over the whole search.
+    pub log_evidence: f64,
+}
+
 /// Scores over the offset lattice: row = y offset ascending, column = x offset ascending, NaN where there is none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Surface {
@@ -103,6 +115,8 @@ pub struct Fix {
     pub risk: Option<f64>,
     /// p-value of the residuals under the model; `None` where the method has no such test.
     pub goodness: Option<f64>,
+    /// What the readings ask for that was not told, where that is why the answer is rejected.
+    pub misfit: Option<Misfit>,
     /// Whether it may be used, and why not.
     pub status: Status,
     /// Score of the answer in the measure's own sense.
@@ -161,6 +175,7 @@ impl Fix {
             covariance_m2: None,
             risk: None,
             goodness: None,
+            misfit: None,
             status,
             score: f64::NAN,
             runner_up: f64::NAN,

@@ -31,6 +31,9 @@ pub struct MapErrorModel {
     pub registration: f64,
     /// Distance to the data.
     pub distance_m: DistanceLayer,
+    /// Log evidence that an effect which was not told must gain for a fix to be rejected; `None` where it was not learnt.
+    #[serde(default)]
+    pub misfit_threshold: Option<f64>,
     /// What a filter needs beyond what a matcher does; `None` where it was not learnt.
     #[serde(default)]
     pub filter: Option<FilterLaw>,
@@ -154,6 +157,9 @@ impl MapErrorModel {
         require_not_negative("error model scale_spread", self.scale_spread)?;
         require_not_negative("error model correlation", self.correlation)?;
         require_not_negative("error model registration", self.registration)?;
+        if let Some(threshold) = self.misfit_threshold {
+            require_positive("error model misfit_threshold", threshold)?;
+        }
         if let Some(law) = &self.filter {
             law.validate()?;
         }

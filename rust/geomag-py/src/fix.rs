@@ -98,6 +98,16 @@ impl PyFix {
         self.inner.goodness
     }
 
+    /// What the readings ask for that was not told, where the answer is rejected for it: (effect, estimate, log evidence gained);
+    /// else None.
+    ///
+    /// `height` (metres above the map), `legs` and `bias_walk` (value units), `reading_scale` (factor), `heading` (degrees), `drift`
+    /// (metres from the first sample to the newest): tell it the next time, or find out where it comes from.
+    #[getter]
+    fn misfit(&self) -> Option<(String, f64, f64)> {
+        self.inner.misfit.as_ref().map(|m| (m.effect.clone(), m.estimate, m.log_evidence))
+    }
+
     /// One of fixed, searching, ambiguous, at_edge, lost, uninformative, not_converged, rejected.
     #[getter]
     fn status(&self) -> &'static str {
@@ -177,6 +187,7 @@ impl PyFix {
         d.set_item("covariance_m2", f.covariance_m2.map(|c| c.map(|r| r.to_vec()).to_vec()))?;
         d.set_item("risk", f.risk)?;
         d.set_item("goodness", f.goodness)?;
+        d.set_item("misfit", self.misfit())?;
         d.set_item("score", f.score)?;
         d.set_item("runner_up", f.runner_up)?;
         d.set_item("n_samples", f.n_samples)?;
@@ -206,6 +217,8 @@ impl PyFix {
             (Some(risk), None) => format!(", risk {risk:.2e}"),
             (None, None) => String::new(),
         };
+        let asks = |m: &geomag_core::fix::Misfit| format!(", asks for {} {:.3}", m.effect, m.estimate);
+        let quality = quality + &f.misfit.as_ref().map(asks).unwrap_or_default();
         format!(
             "Fix({}, x {:.6}, y {:.6}, offset {:.1} m east {:.1} m north, score {:.4}, runner-up {:.4}, {} samples{quality})",
             f.status, f.x, f.y, f.offset_m[0], f.offset_m[1], f.score, f.runner_up, f.n_samples

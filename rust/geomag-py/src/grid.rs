@@ -39,7 +39,12 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 /// geographic : bool
 ///     Whether the coordinates are degrees.
 /// sigma : float or array of the shape of values, optional
-///     Standard deviation of the stored values against the true field, value units.
+///     Standard deviation of the stored values against the true field, value units. 0 says that the nodes are exact; what lies between
+///     them is still the map's to guess (see `interpolation=` of the matchers).
+/// correlation_m : float, optional
+///     Length over which those errors decorrelate, metres; one cell where nothing is said. A map gridded from survey lines errs over about
+///     one or two line spacings; one whose nodes were measured one by one not at all (0). The longer it is, the fewer samples count as
+///     independent. A learnt error model takes its place.
 /// height_m : float or array of the shape of values, optional
 ///     Height of the values, metres above the height datum, positive up: a level, or a surface draped over the ground. The
 ///     datum (ellipsoid, geoid, mean sea level) is the map's own; the heights of tracks are counted from the same.
@@ -195,8 +200,8 @@ impl PyGridMap {
 #[pymethods]
 impl PyGridMap {
     #[new]
-    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, height_m = None, name = None, units = None, crs = None,
-        ground_scale = None))]
+    #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, height_m = None, name = None,
+        units = None, crs = None, ground_scale = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -204,6 +209,7 @@ impl PyGridMap {
         y: &Bound<'_, PyAny>,
         geographic: bool,
         sigma: Option<&Bound<'_, PyAny>>,
+        correlation_m: Option<f64>,
         height_m: Option<&Bound<'_, PyAny>>,
         name: Option<String>,
         units: Option<String>,
@@ -227,6 +233,7 @@ impl PyGridMap {
             };
             inner = inner.with_sigma(Some(layer))?;
         }
+        inner = inner.with_correlation_m(correlation_m)?;
         if let Some(height) = height_m {
             let layer = if let Ok(level) = height.extract::<f64>() {
                 MapHeight::Level(level)
@@ -348,10 +355,12 @@ impl PyGridMap {
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
     /// defaults; without any the navigator uses its own. `recalibration` (slope, intercept) is a line in log-odds from the risk that the
     /// posterior computes to the one that is declared; `forecast` the factor on the map's errors in simulated flights and that on
-    /// the standard deviation foretold (`predict_many`).
+    /// the standard deviation foretold (`predict_many`). `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be
+    /// rejected, as in `match_posterior`.
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
                         batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
-                        recalibration = None, forecast = None, layout = "given"))]
+                        recalibration = None, forecast = None, layout = "given",
+                        misfit_threshold = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -368,6 +377,7 @@ impl PyGridMap {
         recalibration: Option<(f64, f64)>,
         forecast: Option<(f64, f64)>,
         layout: &str,
+        misfit_threshold: Option<f64>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
@@ -400,8 +410,15 @@ impl PyGridMap {
             filter,
             recalibration,
             forecast,
+            misfit_threshold,
         };
         Ok(self.with_model(Some(model))?)
+    }
+
+    /// Length over which the errors that `sigma` states decorrelate, metres; None where nothing was said.
+    #[getter]
+    fn correlation_m(&self) -> Option<f64> {
+        self.inner.correlation_m()
     }
 
     /// The statistics of the map's errors as a dictionary, or None.
@@ -435,6 +452,9 @@ impl PyGridMap {
         }
         if let Some(forecast) = &model.forecast {
             out.set_item("forecast", (forecast.level, forecast.spread))?;
+        }
+        if let Some(threshold) = model.misfit_threshold {
+            out.set_item("misfit_threshold", threshold)?;
         }
         Ok(Some(out))
     }
@@ -580,12 +600,14 @@ impl PyGridMap {
         let (x, y) = (this.inner.x(), this.inner.y());
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
         let text = (this.name.clone(), this.units.clone(), this.crs.clone());
+        let correlation_m = this.inner.correlation_m();
         let model = this.error_model(py)?;
+        let errors = (this.sigma(py)?, correlation_m);
         let arguments = (
             this.values(py)?,
             axes,
             this.inner.geographic(),
-            this.sigma(py)?,
+            errors,
             text,
             model,
             this.height_m(py)?,
@@ -597,14 +619,14 @@ impl PyGridMap {
     }
 
     #[staticmethod]
-    #[pyo3(signature = (values, axes, geographic, sigma, text, model, height_m = None, ground_scale = None,
+    #[pyo3(signature = (values, axes, geographic, errors, text, model, height_m = None, ground_scale = None,
                         turned = [false, false]))]
     #[allow(clippy::type_complexity, clippy::too_many_arguments)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
         axes: ((f64, f64), (f64, f64)),
         geographic: bool,
-        sigma: Option<&Bound<'_, PyAny>>,
+        errors: (Option<Bound<'_, PyAny>>, Option<f64>),
         text: (Option<String>, Option<String>, Option<String>),
         model: Option<&Bound<'_, PyDict>>,
         height_m: Option<&Bound<'_, PyAny>>,
@@ -615,11 +637,12 @@ impl PyGridMap {
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
         let x = Axis::new(axes.0.0, axes.0.1, columns)?;
         let y = Axis::new(axes.1.0, axes.1.1, rows)?;
+        let (sigma, correlation_m) = errors;
         let sigma = match sigma {
             None => None,
             Some(s) => Some(match s.extract::<f64>() {
                 Ok(constant) => MapSigma::Constant(constant),
-                Err(_) => MapSigma::Grid(matrix("sigma", s)?.0),
+                Err(_) => MapSigma::Grid(matrix("sigma", &s)?.0),
             }),
         };
         let height = match height_m {
@@ -629,7 +652,10 @@ impl PyGridMap {
                 Err(_) => MapHeight::Drape(matrix("height_m", h)?.0),
             }),
         };
-        let inner = GridMap::from_axes(values, x, y, geographic)?.with_sigma(sigma)?.with_height(height)?;
+        let inner = GridMap::from_axes(values, x, y, geographic)?
+            .with_sigma(sigma)?
+            .with_correlation_m(correlation_m)?
+            .with_height(height)?;
         let mut map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2, turned };
         if let Some(scale) = ground_scale {
             map = map.scaled(scale, false)?;
@@ -661,6 +687,7 @@ impl PyGridMap {
             pair("recalibration")?,
             pair("forecast")?,
             "values",
+            optional("misfit_threshold")?,
         )
     }
 

@@ -13,7 +13,7 @@ use pyo3::types::PyTuple;
 use crate::arrays::{pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
-use crate::grid::field;
+use crate::grid::{field, interpolation as named};
 use crate::lock::Shared;
 use crate::long_call;
 use crate::stack::field_for;
@@ -71,6 +71,13 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>, track: &Track) -> PyRes<Vec<Extra
 ///     Lattice step, map units; chosen from the map and the tolerance by default.
 /// bias_sigma : float, optional
 ///     Standard deviation of the unknown constant, value units; None for an unbounded one, 0 for none.
+/// leg_bias_sigma : float
+///     Standard deviation of the step of the bias from the first straight leg to every other, value units: the vehicle's own field, which
+///     changes with its heading.
+/// bias_walk : float
+///     Standard deviation of what a slow drift of the bias amounts to over the track, value units.
+/// height_sigma_m : float
+///     Standard deviation of the height of the readings above the map, metres, at most 600: the map is continued to a few heights.
 /// drift_sigma_m : float
 ///     Growth of the INS error over the track, one standard deviation, metres.
 /// heading_sigma_deg, scale_sigma : float
@@ -79,6 +86,13 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>, track: &Track) -> PyRes<Vec<Extra
 ///     Standard deviation of each position about the track, metres.
 /// nu : float, optional
 ///     Degrees of freedom of the Student-t residuals; from the map's errors by default.
+/// interpolation : {'bilinear', 'bicubic'}
+///     How the map is read between its nodes. What it cannot say there, the difference of the two and more, is part of the error
+///     whichever is taken; name the one that made the readings, or that is nearer to the field.
+/// misfit_threshold : float, optional
+///     Log evidence that an effect which was not told (height, legs, drift of the bias, scale of the readings, heading, drift) must gain
+///     over the model as told for the fix to be rejected, with `Fix.misfit` saying which; by default the map's own, or 6; infinity for
+///     no such tests.
 /// min_overlap : float
 ///     Share of the samples that a candidate must have on the map.
 /// min_goodness : float
@@ -112,8 +126,8 @@ fn extras(more: Option<Vec<Bound<'_, PyAny>>>, track: &Track) -> PyRes<Vec<Extra
 /// (True, True)
 #[pyfunction]
 #[pyo3(signature = (grid, track, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
-    bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
-    min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, surface = false, more = None))]
+    bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, height_sigma_m = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
+    interpolation = "bilinear", misfit_threshold = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, surface = false, more = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn match_posterior(
     py: Python<'_>,
@@ -125,11 +139,16 @@ pub fn match_posterior(
     max_risk: f64,
     step: Option<&Bound<'_, PyAny>>,
     bias_sigma: Option<f64>,
+    leg_bias_sigma: f64,
+    bias_walk: f64,
+    height_sigma_m: f64,
     drift_sigma_m: f64,
     heading_sigma_deg: f64,
     scale_sigma: f64,
     position_sigma_m: f64,
     nu: Option<f64>,
+    interpolation: &str,
+    misfit_threshold: Option<f64>,
     min_overlap: f64,
     min_goodness: f64,
     max_candidates: u64,
@@ -139,9 +158,10 @@ pub fn match_posterior(
     let track = &track.get().on(py, grid)?;
     let map = field_for(grid, [&**track])?;
     let (half_width, step) = extent(half_width, step)?;
+    let interpolation = named(interpolation)?;
     let options = options! {
-        half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
-        position_sigma_m, nu, min_overlap, min_goodness, max_candidates, surface
+        half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
+        position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates, surface
     };
     let more = extras(more, track)?;
     let units = posterior::work(&*map, track, &options)?.saturating_mul(more.len() as u64 + 1);
@@ -204,8 +224,8 @@ pub fn match_posterior(
 /// [200.0, -50.0, -150.0]
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
-    bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
-    min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, streaming = false, progress = None))]
+    bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, height_sigma_m = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0, nu = None,
+    interpolation = "bilinear", misfit_threshold = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, streaming = false, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn match_posterior_many(
     py: Python<'_>,
@@ -217,11 +237,16 @@ pub fn match_posterior_many(
     max_risk: f64,
     step: Option<&Bound<'_, PyAny>>,
     bias_sigma: Option<f64>,
+    leg_bias_sigma: f64,
+    bias_walk: f64,
+    height_sigma_m: f64,
     drift_sigma_m: f64,
     heading_sigma_deg: f64,
     scale_sigma: f64,
     position_sigma_m: f64,
     nu: Option<f64>,
+    interpolation: &str,
+    misfit_threshold: Option<f64>,
     min_overlap: f64,
     min_goodness: f64,
     max_candidates: u64,
@@ -231,9 +256,10 @@ pub fn match_posterior_many(
     let tracks = crate::track::all_on(py, grid, &tracks)?;
     let map = field_for(grid, &tracks)?;
     let (half_width, step) = extent(half_width, step)?;
+    let interpolation = named(interpolation)?;
     let options = options! {
-        half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
-        position_sigma_m, nu, min_overlap, min_goodness, max_candidates
+        half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
+        position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
     };
     let units = (tracks.len() as u64).saturating_mul(4_000_000);
     let fixes = long_call::run(py, units, None, progress, |monitor| -> Result<_, Error> {
@@ -308,7 +334,7 @@ impl PyPosteriorStep {
 ///     Bound of the INS error (x, y), map units.
 /// max_samples : int
 ///     Samples kept, at least 3; when there are more the oldest is let go.
-/// sigma, tolerance_m, max_risk, step, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, position_sigma_m, nu, min_overlap, min_goodness, max_candidates
+/// sigma, tolerance_m, max_risk, step, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma, position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
 ///     As in `match_posterior`.
 ///
 /// Raises
@@ -339,8 +365,8 @@ pub struct PyPosteriorMatcher {
 impl PyPosteriorMatcher {
     #[new]
     #[pyo3(signature = (grid, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, step = None,
-        bias_sigma = None, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0,
-        nu = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, max_samples = 200))]
+        bias_sigma = None, leg_bias_sigma = 0.0, bias_walk = 0.0, height_sigma_m = 0.0, drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, position_sigma_m = 0.0,
+        nu = None, interpolation = "bilinear", misfit_threshold = None, min_overlap = 0.8, min_goodness = 1e-3, max_candidates = 4_000_000, max_samples = 200))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         grid: &Bound<'_, PyAny>,
@@ -350,11 +376,16 @@ impl PyPosteriorMatcher {
         max_risk: f64,
         step: Option<&Bound<'_, PyAny>>,
         bias_sigma: Option<f64>,
+        leg_bias_sigma: f64,
+        bias_walk: f64,
+        height_sigma_m: f64,
         drift_sigma_m: f64,
         heading_sigma_deg: f64,
         scale_sigma: f64,
         position_sigma_m: f64,
         nu: Option<f64>,
+        interpolation: &str,
+        misfit_threshold: Option<f64>,
         min_overlap: f64,
         min_goodness: f64,
         max_candidates: u64,
@@ -362,9 +393,10 @@ impl PyPosteriorMatcher {
     ) -> PyRes<Self> {
         let map = field(grid)?;
         let (half_width, step) = extent(half_width, step)?;
+        let interpolation = named(interpolation)?;
         let options = options! {
-            half_width, step, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma,
-            position_sigma_m, nu, min_overlap, min_goodness, max_candidates
+            half_width, step, tolerance_m, max_risk, bias_sigma, leg_bias_sigma, bias_walk, height_sigma_m, drift_sigma_m, heading_sigma_deg, scale_sigma,
+            position_sigma_m, nu, interpolation, misfit_threshold, min_overlap, min_goodness, max_candidates
         };
         let inner = PosteriorMatcher::new(map, sigma, options, max_samples)?;
         Ok(Self { inner: Shared::new(inner), grid: grid.clone().unbind() })
@@ -515,6 +547,8 @@ impl PyPrediction {
 ///     Standard deviations of heading and scale errors of the track.
 /// nu : float, optional
 ///     Degrees of freedom of the Student-t residuals; from the map's errors by default.
+/// interpolation : {'bilinear', 'bicubic'}
+///     How the map is read between its nodes.
 /// flights : int
 ///     Simulated flights a track, at most 1,000,000.
 /// seed : int
@@ -541,7 +575,7 @@ impl PyPrediction {
 /// (True, True)
 #[pyfunction]
 #[pyo3(signature = (grid, tracks, *, half_width, sigma = None, tolerance_m = None, max_risk = 0.01, bias_sigma = None,
-    drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, nu = None, flights = 20, seed = 0, progress = None))]
+    drift_sigma_m = 0.0, heading_sigma_deg = 0.0, scale_sigma = 0.0, nu = None, interpolation = "bilinear", flights = 20, seed = 0, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn predict_many(
     py: Python<'_>,
@@ -556,6 +590,7 @@ pub fn predict_many(
     heading_sigma_deg: f64,
     scale_sigma: f64,
     nu: Option<f64>,
+    interpolation: &str,
     flights: usize,
     seed: u64,
     progress: Option<&Bound<'_, PyAny>>,
@@ -563,8 +598,9 @@ pub fn predict_many(
     let tracks = crate::track::all_on(py, grid, &tracks)?;
     let map = field_for(grid, &tracks)?;
     let half_width = pair("half_width", half_width)?;
+    let interpolation = named(interpolation)?;
     let options = options! {
-        half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu
+        half_width, tolerance_m, max_risk, bias_sigma, drift_sigma_m, heading_sigma_deg, scale_sigma, nu, interpolation
     };
     if flights > MAX_FLIGHTS {
         return Err(invalid("flights", &format!("at most {MAX_FLIGHTS}"), flights));

@@ -39,7 +39,7 @@ use crate::grid::{PyGridMap, field, interpolation};
 /// >>> levels = [geomag.GridMap(values * np.exp(-h / 300), axis, axis, height_m=h) for h in (0.0, 50.0, 100.0)]
 /// >>> stack = geomag.MapStack(levels)
 /// >>> stack.heights_m, round(stack.sample(450.0, 900.0, 75.0), 2)
-/// (array([  0.,  50., 100.]), 61.94)
+/// (array([  0.,  50., 100.]), 61.5)
 #[pyclass(frozen, name = "MapStack", module = "geomag")]
 pub struct PyMapStack {
     /// The levels, shared with every matcher made from them.

@@ -1,12 +1,14 @@
 //! The stored map: a regular grid of field values with interpolation, gradient, holes and error.
 
 mod axis;
+mod continued;
 mod ground;
 mod nodes;
 mod sample;
 
 pub use axis::Axis;
 pub(crate) use axis::split_position;
+pub(crate) use continued::{HEIGHTS_M, at_height};
 pub use nodes::{GridValues, MapHeight, MapSigma};
 pub use sample::Interpolation;
 
@@ -45,9 +47,11 @@ pub struct GridMap {
     holes: Holes,
     mean: f64,
     sigma: Option<MapSigma>,
+    correlation_m: Option<f64>,
     error_model: Option<MapErrorModel>,
     height: Option<MapHeight>,
     ground: Option<GroundScale>,
+    continued: continued::Continued,
 }
 
 impl GridMap {
@@ -153,8 +157,10 @@ impl GridMap {
             holes,
             mean: origin + sum / count as f64,
             sigma: None,
+            correlation_m: None,
             error_model: None,
             height: None,
+            continued: continued::Continued::default(),
             ground: None,
         })
     }
@@ -188,6 +194,26 @@ impl GridMap {
         }
         self.sigma = sigma;
         Ok(self)
+    }
+
+    /// The same map with the length over which the errors that its sigma states decorrelate, metres: 0 for errors of every place
+    /// their own, `None` where nothing is known of it.
+    ///
+    /// An error model takes its place where there is one.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a negative or infinite one.
+    pub fn with_correlation_m(mut self, correlation_m: Option<f64>) -> Result<Self> {
+        if let Some(length) = correlation_m {
+            crate::error::require_not_negative("correlation_m", length)?;
+        }
+        self.correlation_m = correlation_m;
+        Ok(self)
+    }
+
+    /// Length over which the errors that the map's sigma states decorrelate, metres.
+    pub fn correlation_m(&self) -> Option<f64> {
+        self.correlation_m
     }
 
     /// The same map with the statistics of its errors.
@@ -333,6 +359,7 @@ impl GridMap {
         });
         Self::from_axes(values, x, y, self.geographic)?
             .with_sigma(sigma)?
+            .with_correlation_m(self.correlation_m)?
             .with_error_model(error_model)?
             .with_ground_scale(self.ground_scale().map(|g| g[rows].to_vec()))?
             .with_height(height)

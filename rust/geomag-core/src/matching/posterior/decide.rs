@@ -1,6 +1,7 @@
 //! From a posterior to an answer: centre, covariance, risk and status.
 
 use super::density::Posterior;
+use super::misfit;
 use super::problem::Problem;
 use super::search::Lattice;
 use crate::fix::{Fix, Status, Surface};
@@ -76,7 +77,13 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         })
         .map(|(_, lp)| *lp)
         .fold(f64::NEG_INFINITY, f64::max);
-    let status = status(problem, posterior, lattice, &p, offset, [computed, risk], detail.goodness, runner_up, second);
+    let mut status =
+        status(problem, posterior, lattice, &p, offset, [computed, risk], detail.goodness, runner_up, second);
+    // Only what would be used has to stand the tests.
+    let misfit = if status == Status::Fixed { misfit::asked_for(problem, offset, posterior.step) } else { None };
+    if misfit.is_some() {
+        status = Status::Rejected;
+    }
     // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
     let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
     let covariance = [
@@ -87,6 +94,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
         covariance_m2: Some(covariance),
         risk: Some(risk),
         goodness: Some(detail.goodness),
+        misfit,
         bias: Some(detail.bias),
         heading_deg: detail.heading_deg,
         scale: detail.scale,

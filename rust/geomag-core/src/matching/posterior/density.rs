@@ -61,21 +61,23 @@ impl Problem<'_> {
     /// Tempers of a channel's levels, from the means over the candidates that lie on the map.
     pub fn law(&self, channel: &Prepared, blocks: &[Scores], levels: Range<usize>) -> Law {
         let noise = &channel.noise;
-        let (mut distance, mut map_variance, mut count) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let (mut distance, mut map_variance, mut between, mut count) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
         for b in blocks {
             for l in 0..LANES {
                 if b.log_likelihood[levels.start][l].is_finite() {
                     distance += f64::from(b.distance[l]);
                     map_variance += f64::from(b.map_variance[l]);
+                    between += f64::from(b.between[l]);
                     count += 1.0;
                 }
             }
         }
         distance /= count.max(1.0);
         map_variance /= count.max(1.0);
+        between /= count.max(1.0);
         let mut law = Law { distance, known: count > 0.0, temper: [1.0; LEVELS], share: [0.0; LEVELS] };
         for (v, level) in noise.levels.iter().enumerate() {
-            (law.share[v], law.temper[v]) = channel.temper(level, distance, map_variance, self.spacing_m);
+            (law.share[v], law.temper[v]) = channel.temper(level, distance, [map_variance, between], self.spacing_m);
         }
         law
     }

@@ -25,6 +25,7 @@ mod decide;
 mod density;
 mod goodness;
 mod kernel;
+mod misfit;
 mod model;
 mod nuisance;
 mod patch;
@@ -34,6 +35,8 @@ mod search;
 mod streaming;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_declared;
 
 pub use model::{Channel, PosteriorOptions};
 pub use predict::{Prediction, predict, predict_many};

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
+use crate::grid::Interpolation;
 use crate::map_error::{Forecast, Recalibration};
 
 /// Tails of the map's error at one sample where no error model says otherwise.
@@ -11,9 +12,28 @@ const DEFAULT_NU: f64 = 3.0;
 /// Tails of the sensor's own error where it has any: nearly normal, for one that is noisier than stated.
 const SENSOR_NU: f64 = 10.0;
 /// Tails of a sensor without any, and the prior probability that a track's is such: the normal law is worth some percent of
-/// all fixes.
+/// all fixes. More degrees of freedom are the normal law too, and beyond single precision.
 const NORMAL_NU: f64 = 1000.0;
 const NORMAL: f64 = 0.97;
+/// Fewest degrees of freedom: heavier tails than these tell nothing of a place.
+const LEAST_NU: f64 = 0.01;
+/// Standard deviation of a bias, in units of a sample's, below which there is none.
+const NO_BIAS: f64 = 1e-6;
+/// How the field may run between the nodes of a map whose nodes are exact: the interpolation that was named; the other one; the cubic
+/// spline; near that, and anyhow. Prior probabilities, and the standard deviation about the spline in units of the second difference's
+/// part there: a spline and cubic convolution through the same nodes differ by a tenth of that on smooth fields (features of 8
+/// cells) and by half on rough ones (4 cells).
+const AS_NAMED: f64 = 0.5;
+const THE_OTHER: f64 = 0.15;
+const SPLINE: f64 = 0.15;
+const NEAR_SPLINE: (f64, f64) = (0.12, 0.2);
+const ANYHOW: (f64, f64) = (0.08, 0.8);
+/// The same for a map whose error is stated, or that says nothing of it: the whole difference.
+const STATED_BETWEEN: f64 = 1.0;
+/// And for a map with a learnt error model, whose sigma holds most of it.
+const LEARNT_BETWEEN: f64 = 0.577_350_269;
+/// Correlation length of the errors of a map with a stated sigma and no word on it, in cells: neighbouring nodes share an error.
+const STATED_CORRELATION_CELLS: f64 = 1.0;
 /// Where the sensor's error is all there is: the greatest loss of a sample, of one outlier in a hundred spread over a hundred standard
 /// deviations. Tails that go on falling would let an outlier choose between places.
 const MOST_LOSS: f64 = 8.0;
@@ -35,6 +55,9 @@ const MOST_CANDIDATES: u64 = 100_000_000;
 /// Largest standard deviation of a drift: half the way round the Earth.
 const MOST_DRIFT_M: f64 = 2e7;
 
+/// Largest standard deviation of a height: twice that is the highest continuation that is kept.
+const MOST_HEIGHT_M: f64 = 600.0;
+
 /// Standard deviations of the error level over which residuals are checked, and the spread for that over the posterior's own:
 /// the posterior's is how most tracks fare, but one in twenty of a survey's is worse than three of it (docs/calibration-report.md),
 /// and most of these are matched rightly.
@@ -42,7 +65,7 @@ const CHECKED: i32 = 4;
 const CHECKED_SPREAD: f64 = 2.0;
 
 /// Most error levels of one channel.
-pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len();
+pub(super) const LEVELS: usize = UNKNOWN_LEVELS.len() + 1;
 
 /// Options of the posterior matchers. [`PosteriorOptions::new`] gives defaults that need no tuning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,6 +80,16 @@ pub struct PosteriorOptions {
     pub max_risk: f64,
     /// Standard deviation of the constant bias of the measurement, value units; `None` is unknown without bound, 0 is no bias.
     pub bias_sigma: Option<f64>,
+    /// Standard deviation of the step of the bias from the first straight leg to every other, value units: what a heading-dependent
+    /// field of the vehicle does.
+    pub leg_bias_sigma: f64,
+    /// Standard deviation of what a slow random walk of the bias amounts to over the track, value units.
+    pub bias_walk: f64,
+    /// Standard deviation of the height of the readings above the map, metres.
+    pub height_sigma_m: f64,
+    /// Log evidence that an effect which was not told must gain over the model as told for a fix to be rejected; infinite for no
+    /// such tests, `None` for the map's own threshold, or 6.
+    pub misfit_threshold: Option<f64>,
     /// Standard deviation per axis of the drift of the offset from the first sample to the newest, metres.
     pub drift_sigma_m: f64,
     /// Standard deviation of the heading error, degrees.
@@ -66,8 +99,10 @@ pub struct PosteriorOptions {
     /// Standard deviation of the position jitter of one sample, metres.
     pub position_sigma_m: f64,
     /// Degrees of freedom of the errors; `None` takes the map's own, or 3; where the sensor's error is all, 10 and the normal law, weighed,
-    /// and no sample costing more than 8.
+    /// and no sample costing more than 8. From 1000 on it is the normal law.
     pub nu: Option<f64>,
+    /// How the map is read between its nodes. What it cannot say there is part of the error whichever is taken.
+    pub interpolation: Interpolation,
     /// Least share of the samples that a candidate must have on the map.
     pub min_overlap: f64,
     /// Least p-value of the residuals with which a fix is declared.
@@ -87,11 +122,16 @@ impl PosteriorOptions {
             tolerance_m: None,
             max_risk: 0.01,
             bias_sigma: None,
+            leg_bias_sigma: 0.0,
+            bias_walk: 0.0,
+            height_sigma_m: 0.0,
+            misfit_threshold: None,
             drift_sigma_m: 0.0,
             heading_sigma_deg: 0.0,
             scale_sigma: 0.0,
             position_sigma_m: 0.0,
             nu: None,
+            interpolation: Interpolation::Bilinear,
             min_overlap: 0.8,
             min_goodness: 1e-3,
             max_candidates: 4_000_000,
@@ -129,6 +169,14 @@ impl PosteriorOptions {
             }
         }
         require_not_negative("position_sigma_m", self.position_sigma_m)?;
+        require_not_negative("leg_bias_sigma", self.leg_bias_sigma)?;
+        require_not_negative("bias_walk", self.bias_walk)?;
+        if require_not_negative("height_sigma_m", self.height_sigma_m)? > MOST_HEIGHT_M {
+            return Err(Error::invalid("height_sigma_m", format!("at most {MOST_HEIGHT_M}"), self.height_sigma_m));
+        }
+        if self.misfit_threshold.is_some_and(f64::is_nan) {
+            return Err(Error::invalid("misfit_threshold", "a number, infinite for no tests", f64::NAN));
+        }
         if let Some(nu) = self.nu {
             require_positive("nu", nu)?;
         }
@@ -156,6 +204,25 @@ pub struct Channel<'a> {
     pub sigma: Option<f64>,
 }
 
+/// A surface through the nodes of a map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Interpolant {
+    Bilinear,
+    Bicubic,
+    Spline,
+}
+
+impl Interpolant {
+    /// Shares of what the bicubic surface and the spline add to the bilinear one.
+    pub fn parts(self) -> (f32, f32) {
+        match self {
+            Self::Bilinear => (0.0, 0.0),
+            Self::Bicubic => (1.0, 0.0),
+            Self::Spline => (0.0, 1.0),
+        }
+    }
+}
+
 /// One hypothesis on the error of the map along a track.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Level {
@@ -165,8 +232,19 @@ pub(super) struct Level {
     pub nu: f64,
     /// Greatest loss of one sample, infinite where there is none.
     pub most_loss: f64,
+    /// The surface through the nodes about which the field is expected.
+    pub surface: Interpolant,
+    /// Standard deviation about it, in units of what a straight line between nodes leaves out.
+    pub between: f64,
     /// Logarithm of its prior probability.
     pub log_prior: f64,
+}
+
+impl Level {
+    /// Whether another level differs in its tails only.
+    pub fn same_surface(&self, other: &Self) -> bool {
+        (self.factor, self.surface, self.between) == (other.factor, other.surface, other.between)
+    }
 }
 
 /// Error statistics of one channel, settled.
@@ -175,8 +253,13 @@ pub(super) struct Noise {
     pub sensor_variance: f64,
     /// What the map's error may be.
     pub levels: Vec<Level>,
-    /// How many of the first have bounds of their own; the others lie within those of the first level.
-    pub bounded: usize,
+    /// Whether the first level's bound, with what the map may do between its nodes in its reach, stands for all of them at the
+    /// first stage of a search.
+    pub covered: bool,
+    /// Whether the first level's bound stands for all levels at every stage: they differ in their tails only.
+    pub alike: bool,
+    /// Whether the error model was learnt from the map's own lines.
+    pub learnt: bool,
     /// The level by which places are ranked and residuals are judged.
     pub typical: usize,
     /// Whether a level is a distance to the data, so that it scales correlation and registration as well.
@@ -203,19 +286,52 @@ impl Noise {
             None => grid.is_none(),
         };
         let spread = model.map_or(DEFAULT_SPREAD, |m| m.scale_spread);
-        let map_nu = options.nu.or(model.map(|m| m.nu)).unwrap_or(DEFAULT_NU);
-        let sensor_nu = options.nu.unwrap_or(SENSOR_NU);
+        let named = options.nu.map(|nu| nu.clamp(LEAST_NU, NORMAL_NU));
+        let map_nu = named.or(model.map(|m| m.nu.clamp(LEAST_NU, NORMAL_NU))).unwrap_or(DEFAULT_NU);
+        let sensor_nu = named.unwrap_or(SENSOR_NU);
+        let (surface, other) = match options.interpolation {
+            Interpolation::Bilinear => (Interpolant::Bilinear, Interpolant::Bicubic),
+            Interpolation::Bicubic => (Interpolant::Bicubic, Interpolant::Bilinear),
+        };
         let of_factor = |&(factor, log_prior): &(f64, f64)| Level {
             factor,
             nu: if factor == 0.0 { sensor_nu } else { map_nu },
             most_loss: f64::INFINITY,
+            surface,
+            between: if grid.is_none() {
+                0.0
+            } else if model.is_some() {
+                LEARNT_BETWEEN
+            } else {
+                STATED_BETWEEN
+            },
             log_prior,
         };
-        let mut levels: Vec<Level> = if exact && options.nu.is_none() {
-            let level = |nu: f64, prior: f64| Level { factor: 0.0, nu, most_loss: MOST_LOSS, log_prior: prior.ln() };
-            vec![level(SENSOR_NU, 1.0 - NORMAL), level(NORMAL_NU, NORMAL)]
-        } else if exact {
-            vec![of_factor(&(0.0, 0.0))]
+        let mut levels: Vec<Level> = if exact {
+            let most_loss = if named.is_none() { MOST_LOSS } else { f64::INFINITY };
+            let level = |nu: f64, surface: Interpolant, between: f64, prior: f64| Level {
+                factor: 0.0,
+                nu: named.unwrap_or(nu),
+                most_loss,
+                surface,
+                between,
+                log_prior: prior.ln(),
+            };
+            let mut levels = if named.is_none() {
+                vec![
+                    level(SENSOR_NU, surface, 0.0, AS_NAMED * (1.0 - NORMAL)),
+                    level(NORMAL_NU, surface, 0.0, AS_NAMED * NORMAL),
+                ]
+            } else {
+                vec![level(sensor_nu, surface, 0.0, AS_NAMED)]
+            };
+            if grid.is_some() {
+                levels.push(level(NORMAL_NU, other, 0.0, THE_OTHER));
+                levels.push(level(NORMAL_NU, Interpolant::Spline, 0.0, SPLINE));
+                levels.push(level(NORMAL_NU, Interpolant::Spline, NEAR_SPLINE.1, NEAR_SPLINE.0));
+                levels.push(level(SENSOR_NU, Interpolant::Spline, ANYHOW.1, ANYHOW.0));
+            }
+            levels
         } else if !stated {
             UNKNOWN_LEVELS.iter().map(of_factor).collect()
         } else if spread == 0.0 {
@@ -238,28 +354,77 @@ impl Noise {
             .sqrt();
         let floor = if channel.sigma.is_none() && model.is_none() { 0.01 * spread_of_values } else { 0.0 };
         let floor = floor.max(1e-6 * spread_of_values).max(f64::MIN_POSITIVE.sqrt());
+        let (correlation, registration) = match (model, grid) {
+            (Some(m), _) => (m.correlation, m.registration),
+            // Whoever states a sigma states all of the error: nothing is displaced beside it.
+            (None, Some(g)) if stated => {
+                let cells = g.correlation_m().map_or(STATED_CORRELATION_CELLS, |m| m / cell_m(g));
+                (cells / super::patch::DEFAULT_DISTANCE_CELLS, 0.0)
+            }
+            _ => (DEFAULT_CORRELATION, DEFAULT_REGISTRATION),
+        };
         Ok(Self {
             sensor_variance: sensor.max(floor).powi(2),
-            bounded: if exact { 1 } else { levels.len() },
+            covered: exact && grid.is_some(),
+            alike: exact && grid.is_none(),
+            learnt: model.is_some(),
             // The middle of a spread.
             typical: if exact { 0 } else { levels.len() / 2 },
             levels,
             levels_are_distances: !stated,
             spread: if exact || !stated { 0.0 } else { spread },
-            correlation: model.map_or(DEFAULT_CORRELATION, |m| m.correlation),
-            registration: model.map_or(DEFAULT_REGISTRATION, |m| m.registration),
+            correlation,
+            registration,
             recalibration: model.and_then(|m| m.recalibration),
             forecast: model.and_then(|m| m.forecast),
         })
     }
 }
 
+/// Mean side of a map's cell, metres.
+fn cell_m(grid: &crate::grid::GridMap) -> f64 {
+    let [x, y] = grid.spacing();
+    let [east, north] = grid.metres_per_unit(0.5 * (grid.y().first() + grid.y().last()));
+    (x * east * y * north).sqrt()
+}
+
+/// The standard deviation of a bias in kernel units as the kernel takes it: none for no bias at all, infinite for one unknown
+/// without bound. A prior too narrow to be told from none is none.
+pub(super) fn bias_prior(sigma: Option<f64>, unit: f64) -> Option<f64> {
+    match sigma.map(|s| s / unit) {
+        None => Some(f64::INFINITY),
+        Some(s) if s < NO_BIAS => None,
+        Some(s) => Some(s),
+    }
+}
+
+/// Whether matching on this map looks at curved surfaces through its nodes: one that says its nodes are exact, or one to be read so.
+pub(super) fn wants_curves(field: &dyn Field, options: &PosteriorOptions) -> bool {
+    let Some(grid) = field.as_grid() else { return false };
+    let exact = matches!(grid.map_sigma(), Some(crate::grid::MapSigma::Constant(s)) if *s == 0.0);
+    exact || options.interpolation == Interpolation::Bicubic
+}
+
 impl Noise {
+    /// Takes all surfaces through the nodes for one where the readings cannot tell them apart: the one that was named, and what the
+    /// others differ by as its error.
+    pub fn with_one_surface(&mut self) {
+        let named = self.levels[0].surface;
+        self.levels.retain(|l| l.surface == named && l.between == 0.0);
+        let total = self.levels.iter().map(|l| l.log_prior.exp()).sum::<f64>().ln();
+        for level in &mut self.levels {
+            level.between = STATED_BETWEEN;
+            level.log_prior -= total;
+        }
+        (self.covered, self.alike) = (false, true);
+    }
+
     /// The levels over which residuals are checked: those of a spread to its far tail; else the worst, of which a track may be without being unlikely.
     pub fn checked(&self) -> Vec<Level> {
         if self.spread == 0.0 {
+            let size = |l: &Level| (l.factor, l.between);
             let worst =
-                self.levels.iter().copied().fold(self.levels[0], |a, b| if b.factor > a.factor { b } else { a });
+                self.levels.iter().copied().fold(self.levels[0], |a, b| if size(&b) > size(&a) { b } else { a });
             return vec![Level { log_prior: 0.0, ..worst }];
         }
         let typical = self.levels[self.typical];

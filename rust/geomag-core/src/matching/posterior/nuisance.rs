@@ -20,14 +20,101 @@ const NODES: f64 = 150.0;
 /// around it is linear.
 #[derive(Debug, Clone)]
 pub(super) struct Nuisance {
-    /// Displacement in metres `[east, north]` of every sample per standard deviation of each parameter about its node:
-    /// `shapes[parameter][sample]`.
-    pub shapes: Vec<Vec<[f32; 2]>>,
+    /// What each parameter does to every sample per standard deviation about its node.
+    pub shapes: Vec<Shape>,
     /// Standard deviations about a node over those of the prior.
     pub narrowed: Vec<f64>,
     pub nodes: Vec<Node>,
     parameters: Vec<Parameter>,
 }
+
+/// What a nuisance parameter does to the samples, one entry a sample.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Shape {
+    /// Displaces them, metres `[east, north]`.
+    Moved(Vec<[f32; 2]>),
+    /// Adds to the readings, value units.
+    Added(Vec<f32>),
+    /// Lifts all of them: what the map changes by with height.
+    Lifted,
+}
+
+impl Shape {
+    /// Greatest displacement of any sample, metres.
+    fn lever_m(&self) -> f64 {
+        match self {
+            Self::Moved(by) => by.iter().map(|[e, n]| f64::from(e.hypot(*n))).fold(0.0, f64::max),
+            Self::Added(_) | Self::Lifted => 0.0,
+        }
+    }
+
+    fn times(&mut self, factor: f32) {
+        match self {
+            Self::Moved(by) => by.iter_mut().flatten().for_each(|v| *v *= factor),
+            Self::Added(by) => by.iter_mut().for_each(|v| *v *= factor),
+            Self::Lifted => {}
+        }
+    }
+}
+
+/// Change of course from one sample to the next beyond which a new straight leg begins, degrees.
+const TURN_DEG: f64 = 20.0;
+/// Most legs with a bias of their own; what follows them shares that of the last.
+pub(super) const LEGS: usize = 6;
+
+/// The prior of a height as a sum of narrow normal laws: their means and what they weigh, in standard deviations of the prior, the
+/// likeliest first; and their own standard deviation.
+pub(super) const HEIGHTS: [f64; 5] = [0.0, 0.8, -0.8, 1.6, -1.6];
+pub(super) const HEIGHT_NARROWED: f64 = 0.5;
+
+/// Which straight leg every sample belongs to, of positions `[east, north]` in metres; the numbers begin at 0.
+///
+/// A leg goes on while the course stays within [`TURN_DEG`] of that at its beginning; a turn flown in small steps ends it as well.
+pub(super) fn legs(positions_m: &[[f64; 2]]) -> Vec<usize> {
+    let mut leg = 0;
+    let mut out = vec![0; positions_m.len()];
+    let mut course: Option<[f64; 2]> = None;
+    for k in 1..positions_m.len() {
+        let [e, n] = [0, 1].map(|d| positions_m[k][d] - positions_m[k - 1][d]);
+        let length = e.hypot(n);
+        if length > 0.0 {
+            let way = [e / length, n / length];
+            match course {
+                Some([ce, cn]) if ce * way[0] + cn * way[1] < TURN_DEG.to_radians().cos() => {
+                    // The sample at the corner was still on the leg before.
+                    leg = (leg + 1).min(LEGS - 1);
+                    course = Some(way);
+                }
+                Some(_) => {}
+                None => course = Some(way),
+            }
+        }
+        out[k] = leg;
+    }
+    out
+}
+
+/// A bias of its own for every leg after the first, as what it adds to each sample per standard deviation.
+pub(super) fn leg_shapes(legs: &[usize], sigma: f64) -> Vec<Shape> {
+    let most = legs.iter().copied().max().unwrap_or(0);
+    (1..=most)
+        .map(|leg| Shape::Added(legs.iter().map(|l| if *l == leg { sigma as f32 } else { 0.0 }).collect()))
+        .collect()
+}
+
+/// A slow change of the bias with a standard deviation over the track, as a line and the first waves of a random walk (its
+/// Karhunen-Loeve series; Van Trees, Detection, Estimation and Modulation Theory I, 1968, section 3.4); `age` from 1 to 0.
+pub(super) fn walk_shapes(age: &[f64], sigma: f64) -> Vec<Shape> {
+    (0..WALK_WAVES)
+        .map(|i| {
+            let k = (i as f64 + 0.5) * std::f64::consts::PI;
+            Shape::Added(age.iter().map(|a| (sigma * std::f64::consts::SQRT_2 * (k * a).sin() / k) as f32).collect())
+        })
+        .collect()
+}
+
+/// Waves of a walk of the bias: they hold nine tenths of its variance.
+const WALK_WAVES: usize = 2;
 
 /// A place in the space of the parameters.
 #[derive(Debug, Clone)]
@@ -36,6 +123,8 @@ pub(super) struct Node {
     pub at: Vec<f64>,
     /// By how much each sample is moved, metres `[east, north]`; empty where by nothing.
     pub moved_m: Vec<[f64; 2]>,
+    /// Number of its height in [`HEIGHTS`].
+    pub height: usize,
     /// Logarithm of its share of the prior.
     pub log_weight: f64,
 }
@@ -55,13 +144,15 @@ enum Kind {
     Scale,
     DriftEast,
     DriftNorth,
+    /// Of the readings: nothing moves.
+    Reading,
 }
 
 impl Nuisance {
     /// The parameters with a prior above zero, on one node. `away_m` is the displacement of every sample from the newest,
     /// metres; `age` runs from 1 (first) to 0 (newest).
     pub fn new(options: &PosteriorOptions, away_m: &[[f64; 2]], age: &[f64]) -> Self {
-        let parameters: Vec<Parameter> = [
+        let mut parameters: Vec<Parameter> = [
             (Kind::Heading, options.heading_sigma_deg.to_radians()),
             (Kind::Scale, options.scale_sigma),
             (Kind::DriftEast, options.drift_sigma_m),
@@ -71,29 +162,36 @@ impl Nuisance {
         .filter(|(_, sigma)| *sigma > 0.0)
         .map(|(kind, sigma)| Parameter { kind, sigma })
         .collect();
-        let shapes = parameters
+        let mut shapes: Vec<Shape> = parameters
             .iter()
             .map(|p| {
-                (away_m.iter().zip(age))
-                    .map(|(&[east, north], age)| {
-                        let shape = match p.kind {
-                            Kind::Heading => [north, -east],
-                            Kind::Scale => [east, north],
-                            Kind::DriftEast => [-age, 0.0],
-                            Kind::DriftNorth => [0.0, -age],
-                        };
-                        shape.map(|v| (p.sigma * v) as f32)
-                    })
-                    .collect()
+                let shape = |(&[east, north], age): (&[f64; 2], &f64)| {
+                    let shape = match p.kind {
+                        Kind::Heading => [north, -east],
+                        Kind::Scale => [east, north],
+                        Kind::DriftEast => [-age, 0.0],
+                        Kind::DriftNorth => [0.0, -age],
+                        Kind::Reading => [0.0; 2],
+                    };
+                    shape.map(|v| (p.sigma * v) as f32)
+                };
+                Shape::Moved(away_m.iter().zip(age).map(shape).collect())
             })
             .collect();
-        let node = Node { at: vec![0.0; parameters.len()], moved_m: Vec::new(), log_weight: 0.0 };
-        Self { shapes, narrowed: vec![1.0; parameters.len()], nodes: vec![node], parameters }
+        if options.leg_bias_sigma > 0.0 {
+            shapes.extend(leg_shapes(&legs(away_m), options.leg_bias_sigma));
+        }
+        if options.bias_walk > 0.0 {
+            shapes.extend(walk_shapes(age, options.bias_walk));
+        }
+        parameters.resize(shapes.len(), Parameter { kind: Kind::Reading, sigma: 1.0 });
+        let node = Node { at: vec![0.0; parameters.len()], moved_m: Vec::new(), height: 0, log_weight: 0.0 };
+        Self { narrowed: vec![1.0; shapes.len()], shapes, nodes: vec![node], parameters }
     }
 
     /// Greatest displacement of any sample per prior standard deviation of each parameter, metres.
     fn levers_m(&self) -> Vec<f64> {
-        self.shapes.iter().map(|shape| shape.iter().map(|[e, n]| f64::from(e.hypot(*n))).fold(0.0, f64::max)).collect()
+        self.shapes.iter().map(Shape::lever_m).collect()
     }
 
     /// Divides the prior so that about each node no parameter moves a sample by more than `linear_m` in a standard deviation.
@@ -108,9 +206,7 @@ impl Nuisance {
         let laws: Vec<NormalSum> = levers.iter().map(|lever| NormalSum::new(linear_m / lever)).collect();
         self.narrowed = laws.iter().map(|law| law.narrowed).collect();
         for (shape, narrowed) in self.shapes.iter_mut().zip(&self.narrowed) {
-            for v in shape.iter_mut().flatten() {
-                *v *= *narrowed as f32;
-            }
+            shape.times(*narrowed as f32);
         }
         let mut nodes = self.nodes;
         for (i, law) in laws.iter().enumerate() {
@@ -137,6 +233,29 @@ impl Nuisance {
         self
     }
 
+    /// Every node at every height, about which the map is linear in the height.
+    #[must_use]
+    pub fn at_heights(mut self) -> Self {
+        let log = |z: f64| -0.5 * z * z / (1.0 - HEIGHT_NARROWED * HEIGHT_NARROWED);
+        let total = HEIGHTS.iter().map(|z| log(*z).exp()).sum::<f64>().ln();
+        let at_height = |node: &Node, (height, z): (usize, &f64)| Node {
+            height,
+            log_weight: node.log_weight + log(*z) - total,
+            ..node.clone()
+        };
+        self.nodes = (self.nodes.iter())
+            .flat_map(|node| HEIGHTS.iter().enumerate().map(move |height| at_height(node, height)))
+            .collect();
+        self.nodes.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
+        self.shapes.push(Shape::Lifted);
+        self.narrowed.push(HEIGHT_NARROWED);
+        self.parameters.push(Parameter { kind: Kind::Reading, sigma: 1.0 });
+        for node in &mut self.nodes {
+            node.at.push(0.0);
+        }
+        self
+    }
+
     /// Heading in degrees and scale of parameters in standard deviations about a node.
     pub fn heading_and_scale(&self, node: &Node, about: &[f64]) -> (f64, f64) {
         let (mut heading, mut scale) = (0.0, 1.0);
@@ -145,7 +264,7 @@ impl Nuisance {
             match p.kind {
                 Kind::Heading => heading += value.to_degrees(),
                 Kind::Scale => scale += value,
-                Kind::DriftEast | Kind::DriftNorth => {}
+                Kind::DriftEast | Kind::DriftNorth | Kind::Reading => {}
             }
         }
         (heading, scale)
@@ -168,6 +287,7 @@ fn moved(parameters: &[Parameter], at: &[f64], away_m: &[[f64; 2]], age: &[f64])
             Kind::Scale => scale += value,
             Kind::DriftEast => drift[0] += value,
             Kind::DriftNorth => drift[1] += value,
+            Kind::Reading => {}
         }
     }
     let (sine, cosine) = heading.sin_cos();
@@ -237,6 +357,20 @@ mod tests {
     }
 
     #[test]
+    fn a_turn_begins_a_leg_and_a_wobble_does_not() {
+        let mut at = [0.0, 0.0];
+        let mut positions = vec![at];
+        for k in 0..12 {
+            let course: f64 = if k < 6 { if k % 2 == 0 { 3.0 } else { -3.0 } } else { 90.0 };
+            at = [at[0] + 100.0 * course.to_radians().sin(), at[1] + 100.0 * course.to_radians().cos()];
+            positions.push(at);
+        }
+        let found = legs(&positions);
+        assert_eq!(found, [vec![0; 7], vec![1; 6]].concat());
+        assert_eq!(leg_shapes(&found, 5.0).len(), 1);
+    }
+
+    #[test]
     fn a_prior_without_measure_has_few_nodes() {
         let mut options = PosteriorOptions::new([1000.0; 2]);
         options.drift_sigma_m = 1e12;
@@ -244,7 +378,7 @@ mod tests {
         let (away, age) = ([[-5e3, 2e3], [0.0, 0.0]], [1.0, 0.0]);
         let divided = Nuisance::new(&options, &away, &age).divided(10.0, &away, &age);
         assert!(divided.nodes.len() as f64 <= NODES);
-        assert!(divided.shapes.iter().flatten().flatten().all(|v| v.is_finite()));
+        assert!(divided.levers_m().iter().all(|v| v.is_finite()));
     }
 
     #[test]
@@ -256,14 +390,17 @@ mod tests {
         let away: Vec<[f64; 2]> = (0..10).map(|k| [-100.0 * f64::from(9 - k), -300.0 * f64::from(9 - k)]).collect();
         let age: Vec<f64> = (0..10).map(|k| f64::from(9 - k) / 9.0).collect();
         let whole = Nuisance::new(&options, &away, &age);
+        let shape = |i: usize, k: usize, d: usize| match &whole.shapes[i] {
+            Shape::Moved(by) => f64::from(by[k][d]),
+            Shape::Added(_) | Shape::Lifted => 0.0,
+        };
         let divided = whole.clone().divided(20.0, &away, &age);
         assert!(divided.nodes.len() > 20 && divided.nodes.len() as f64 <= NODES);
         for node in &divided.nodes {
             // What the linear shapes leave out: the square of the angle, and the angle times the stretch.
             let (angle, stretch) = (node.at[0] * 1.0_f64.to_radians(), node.at[1] * 0.01);
             for k in 0..10 {
-                let linear: Vec<f64> =
-                    (0..2).map(|d| (0..4).map(|i| node.at[i] * f64::from(whole.shapes[i][k][d])).sum()).collect();
+                let linear: Vec<f64> = (0..2).map(|d| (0..4).map(|i| node.at[i] * shape(i, k, d)).sum()).collect();
                 let moved = node.moved_m.get(k).copied().unwrap_or([0.0; 2]);
                 for d in 0..2 {
                     let rest = away[k][0].hypot(away[k][1]) * (0.5 * angle * angle + (angle * stretch).abs());

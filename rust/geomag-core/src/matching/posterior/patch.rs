@@ -3,7 +3,7 @@
 use super::kernel::LANES;
 use crate::error::{Error, Result};
 use crate::field::Field;
-use crate::grid::{GridMap, MapSigma};
+use crate::grid::{GridMap, MapSigma, at_height};
 use crate::map_error::DistanceLayer;
 use crate::stack::Storey;
 
@@ -20,11 +20,23 @@ const PART_TOLERANCE: f32 = 4e-7;
 /// Most rows of the lattice in one block up to which the map is read in rows.
 const RUNS: usize = 3;
 
-/// Planes of a patch: value minus level, error variance, distance to data, largest second difference.
+/// Planes of a patch: value minus level, error variance, distance to data, largest second difference, the second differences along x
+/// and y, and that along y of those along x; and the same three of the cubic spline through the nodes.
 pub(super) const VALUE: usize = 0;
 pub(super) const VARIANCE: usize = 1;
 pub(super) const DISTANCE: usize = 2;
 pub(super) const BEND: usize = 3;
+pub(super) const ACROSS: usize = 4;
+pub(super) const UP: usize = 5;
+pub(super) const TWIST: usize = 6;
+pub(super) const SPLINE_ACROSS: usize = 7;
+pub(super) const SPLINE_UP: usize = 8;
+pub(super) const SPLINE_TWIST: usize = 9;
+/// Half of what the values change by from one side of a height to the other.
+pub(super) const LIFT: usize = 10;
+const PLANES: usize = 11;
+/// Nodes beyond what a search can touch: over each of them a spline forgets three quarters of what lies beyond.
+const MARGIN_CELLS: i64 = 8;
 /// A window of the map, a plane a quantity.
 #[derive(Debug, Clone)]
 pub(super) struct Patch {
@@ -37,11 +49,13 @@ pub(super) struct Patch {
     columns: usize,
     rows: usize,
     /// The planes of every level, lowest first; one where the field has one surface.
-    levels: Vec<[Vec<f32>; 4]>,
+    levels: Vec<[Vec<f32>; PLANES]>,
     /// Value subtracted from every node, so that single precision suffices.
     pub level: f64,
     /// Whether error variance and distance are the same at every node.
     pub even: bool,
+    /// Whether the curved surfaces through the nodes are laid out.
+    curved: bool,
 }
 
 /// One interpolated point.
@@ -54,6 +68,8 @@ pub(super) struct Sample {
     pub gradient: [f32; 2],
     /// What a curve through the nodes would differ by from the straight line between them.
     pub curvature: f32,
+    /// Largest second difference at the nodes around.
+    pub bend: f32,
 }
 
 /// Up to [`LANES`] offsets in cells, as whole cells and the rest; the last is repeated where there are fewer.
@@ -113,6 +129,65 @@ impl Cells {
         }
         cells
     }
+}
+
+/// Second differences along x.
+fn second_differences_across(plane: &[f32], columns: usize) -> Vec<f32> {
+    let mut out = vec![0.0; plane.len()];
+    if columns < 3 {
+        return out;
+    }
+    for (line, out) in plane.chunks_exact(columns).zip(out.chunks_exact_mut(columns)) {
+        for (out, w) in out[1..].iter_mut().zip(line.windows(3)) {
+            *out = finite_or_zero(w[0] + w[2] - 2.0 * w[1]);
+        }
+        (out[0], out[columns - 1]) = (out[1], out[columns - 2]);
+    }
+    out
+}
+
+/// Second differences along y.
+fn second_differences_up(plane: &[f32], columns: usize) -> Vec<f32> {
+    let mut out = vec![0.0; plane.len()];
+    let n = plane.len();
+    if n < 3 * columns {
+        return out;
+    }
+    let (low, middle, high) = (&plane[..n - 2 * columns], &plane[columns..n - columns], &plane[2 * columns..]);
+    for (out, ((l, m), h)) in out[columns..].iter_mut().zip(low.iter().zip(middle).zip(high)) {
+        *out = finite_or_zero(l + h - 2.0 * m);
+    }
+    out.copy_within(columns..2 * columns, 0);
+    out.copy_within(n - 2 * columns..n - columns, n - columns);
+    out
+}
+
+/// Second differences D to the second derivatives M of the cubic spline, M- + 4 M + M+ = 6 D, along lines whose neighbours stand
+/// `stride` apart; at both ends a parabola.
+fn spline_bends(plane: &mut [f32], stride: usize) {
+    let n = plane.len() / stride;
+    if n < 3 {
+        return;
+    }
+    // Elimination from the first inner node on: the coefficient of the next one settles at 2 - sqrt 3.
+    let mut factors = vec![0.0_f32; n];
+    for i in 1..n - 1 {
+        factors[i] = 1.0 / (4.0 - factors[i - 1]);
+        let (before, from) = plane.split_at_mut(i * stride);
+        for (v, b) in from[..stride].iter_mut().zip(&before[(i - 1) * stride..]) {
+            *v = (6.0 * *v - b) * factors[i];
+        }
+    }
+    for i in (1..n - 1).rev() {
+        let (upto, after) = plane.split_at_mut((i + 1) * stride);
+        for (v, a) in upto[i * stride..].iter_mut().zip(&after[..stride]) {
+            *v -= factors[i] * a;
+        }
+    }
+}
+
+fn finite_or_zero(value: f32) -> f32 {
+    if value.is_finite() { value } else { 0.0 }
 }
 
 /// A place in cells of the patch: whole cells, and the rest in [0, 1].
@@ -201,23 +276,30 @@ impl Corners {
     /// Interpolated.
     #[inline(always)]
     pub fn mixed(&self, spots: &Spots) -> [f32; LANES] {
+        self.mixed_at(&spots.u, &spots.v)
+    }
+
+    /// Interpolated at other places between the nodes.
+    #[inline(always)]
+    pub fn mixed_at(&self, u: &[f32; LANES], v: &[f32; LANES]) -> [f32; LANES] {
         let [a, b, e, f] = &self.0;
         let mut mixed = [0.0; LANES];
         for l in 0..LANES {
-            let low = a[l] + spots.u[l] * (b[l] - a[l]);
-            let high = e[l] + spots.u[l] * (f[l] - e[l]);
-            mixed[l] = low + spots.v[l] * (high - low);
+            let low = a[l] + u[l] * (b[l] - a[l]);
+            let high = e[l] + u[l] * (f[l] - e[l]);
+            mixed[l] = low + v[l] * (high - low);
         }
         mixed
     }
 }
 
 impl Patch {
-    /// The window of `field` that covers the box from `low` to `high` (map units, on the map's own turn of longitude).
+    /// The window of `field` that covers the box from `low` to `high` (map units, on the map's own turn of longitude), with the
+    /// curved surfaces through its nodes where asked for.
     ///
     /// # Errors
     /// [`Error::TooManyCandidates`] for a field without a grid that would have to be evaluated at more than `most` nodes.
-    pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2], most: u64) -> Result<Self> {
+    pub fn new(field: &dyn Field, low: [f64; 2], high: [f64; 2], most: u64, curved: bool) -> Result<Self> {
         let step = field.spacing();
         let grid = field.layout();
         let origin = grid.map_or(low, |g| [g.x().first(), g.y().first()]);
@@ -225,7 +307,7 @@ impl Patch {
         let limits = grid.map_or([far; 2], |g| [g.x().len() as i64 - 1, g.y().len() as i64 - 1]);
         let (mut first, mut last) = ([0_i64; 2], [0_i64; 2]);
         for d in 0..2 {
-            let margin = SMOOTHING_CELLS as i64 + 1;
+            let margin = if grid.is_some() { MARGIN_CELLS } else { SMOOTHING_CELLS as i64 + 1 };
             let least = if grid.is_some() { 0 } else { -far };
             let cells = |v: f64| ((v - origin[d]) / step[d]).clamp(-far as f64, far as f64);
             first[d] = (cells(low[d]).floor() as i64 - margin).clamp(least, limits[d]);
@@ -240,14 +322,14 @@ impl Patch {
         let [east, north] = field.metres_per_unit(middle);
         let cell_m = (step[0] * east * step[1] * north).sqrt();
         let level = field.mean();
-        let mut patch = Self { origin, step, first, columns, rows, levels: Vec::new(), level, even: false };
+        let mut patch = Self { origin, step, first, columns, rows, levels: Vec::new(), level, even: false, curved };
         let default_distance = (DEFAULT_DISTANCE_CELLS * cell_m) as f32;
         let grids: Vec<Option<&GridMap>> = match field.as_stack() {
             Some(stack) => stack.levels().iter().map(|g| Some(&**g)).collect(),
             None => vec![grid],
         };
         for grid in grids {
-            let mut planes = std::array::from_fn(|_| vec![0.0; columns * rows]);
+            let mut planes = std::array::from_fn(|q| vec![0.0; if q < ACROSS { columns * rows } else { 0 }]);
             patch.fill(&mut planes, field, grid, default_distance);
             patch.fill_bends(&mut planes);
             if grid.is_some_and(|g| g.map_sigma().is_none()) {
@@ -255,13 +337,13 @@ impl Patch {
             }
             patch.levels.push(planes);
         }
-        let even = |planes: &[Vec<f32>; 4], q: usize| planes[q].iter().all(|v| *v == planes[q][0]);
+        let even = |planes: &[Vec<f32>; PLANES], q: usize| planes[q].iter().all(|v| *v == planes[q][0]);
         patch.even = patch.levels.iter().all(|planes| even(planes, VARIANCE) && even(planes, DISTANCE));
         Ok(patch)
     }
 
     /// Value, variance and distance at the nodes of one level, or of a field without a grid.
-    fn fill(&self, planes: &mut [Vec<f32>; 4], field: &dyn Field, grid: Option<&GridMap>, default_distance: f32) {
+    fn fill(&self, planes: &mut [Vec<f32>; PLANES], field: &dyn Field, grid: Option<&GridMap>, default_distance: f32) {
         let map_columns = grid.map_or(0, |g| g.x().len());
         for r in 0..self.rows {
             for c in 0..self.columns {
@@ -294,6 +376,36 @@ impl Patch {
         }
     }
 
+    /// The same window of the map at a height above it, and how it changes over `about_m` on either side of that; with an `about_m` of
+    /// zero, for a first look, its bends stay those of the map.
+    pub fn lifted(&self, grid: &GridMap, height_m: f64, about_m: f64) -> Self {
+        let mut lifted = self.clone();
+        lifted.levels[0][VALUE] = self.at_height(grid, height_m);
+        if about_m > 0.0 {
+            let (below, above) = (self.at_height(grid, height_m - about_m), self.at_height(grid, height_m + about_m));
+            lifted.levels[0][LIFT] = above.iter().zip(&below).map(|(a, b)| finite_or_zero(0.5 * (a - b))).collect();
+            self.fill_bends(&mut lifted.levels[0]);
+        }
+        lifted
+    }
+
+    /// The values of the window at a height.
+    fn at_height(&self, grid: &GridMap, height_m: f64) -> Vec<f32> {
+        let (own, parts) = at_height(height_m);
+        let mut out: Vec<f32> = self.levels[0][VALUE].iter().map(|v| own as f32 * v).collect();
+        let map_columns = grid.x().len();
+        for (number, weight) in parts.into_iter().filter(|(_, weight)| *weight != 0.0) {
+            let continued = grid.continued(number);
+            for (r, line) in out.chunks_exact_mut(self.columns).enumerate() {
+                let from = (self.first[1] as usize + r) * map_columns + self.first[0] as usize;
+                for (v, c) in line.iter_mut().zip(continued.get(from..).unwrap_or_default()) {
+                    *v += weight as f32 * c;
+                }
+            }
+        }
+        out
+    }
+
     /// Root mean square of the largest second difference at a node, value units.
     pub fn typical_bend(&self) -> f64 {
         let bends = &self.levels[0][BEND];
@@ -301,19 +413,37 @@ impl Patch {
         (sum / bends.len() as f64).sqrt()
     }
 
-    /// Second differences of the values: what bilinear interpolation leaves out.
-    fn fill_bends(&self, planes: &mut [Vec<f32>; 4]) {
-        let (columns, rows) = (self.columns, self.rows);
-        let [values, .., bends] = planes;
-        for r in 0..rows {
-            for c in 0..columns {
-                let at = |r: usize, c: usize| values[r * columns + c];
-                let middle = at(r, c);
-                let across = if c > 0 && c + 1 < columns { at(r, c - 1) + at(r, c + 1) - 2.0 * middle } else { 0.0 };
-                let along = if r > 0 && r + 1 < rows { at(r - 1, c) + at(r + 1, c) - 2.0 * middle } else { 0.0 };
-                let bend = across.abs().max(along.abs());
-                bends[r * columns + c] = if bend.is_finite() { bend } else { 0.0 };
+    /// Lays out the curved surfaces through the nodes.
+    pub fn add_curves(&mut self) {
+        self.curved = true;
+        let mut levels = std::mem::take(&mut self.levels);
+        for planes in &mut levels {
+            self.fill_bends(planes);
+        }
+        self.levels = levels;
+    }
+
+    /// Second differences of the values: what bilinear interpolation leaves out; those of the curved surfaces where they are wanted. On
+    /// the border those of the row or column inside it, which continue the map as a parabola; zero beside holes.
+    fn fill_bends(&self, planes: &mut [Vec<f32>; PLANES]) {
+        let columns = self.columns;
+        let across = second_differences_across(&planes[VALUE], columns);
+        let up = second_differences_up(&planes[VALUE], columns);
+        planes[BEND] = across.iter().zip(&up).map(|(a, u)| a.abs().max(u.abs())).collect();
+        if self.curved {
+            // The spline bends at its nodes by M with M- + 4 M + M+ = 6 D (de Boor, A Practical Guide to Splines, 1978, chapter IV).
+            let mut spline = across.clone();
+            for row in spline.chunks_exact_mut(columns) {
+                spline_bends(row, 1);
             }
+            planes[SPLINE_TWIST] = second_differences_up(&spline, columns);
+            spline_bends(&mut planes[SPLINE_TWIST], columns);
+            planes[SPLINE_ACROSS] = spline;
+            planes[SPLINE_UP].clone_from(&up);
+            spline_bends(&mut planes[SPLINE_UP], columns);
+            planes[TWIST] = second_differences_up(&across, columns);
+            planes[ACROSS] = across;
+            planes[UP] = up;
         }
     }
 
@@ -321,7 +451,7 @@ impl Patch {
     ///
     /// The gradient at one node vanishes on every crest, where an interpolated map is at its worst; its mean over a few
     /// cells does not.
-    fn fill_default_variance(&self, planes: &mut [Vec<f32>; 4], aspect: [f64; 2]) {
+    fn fill_default_variance(&self, planes: &mut [Vec<f32>; PLANES], aspect: [f64; 2]) {
         let (columns, rows) = (self.columns, self.rows);
         let mut square = vec![[0.0_f64; 2]; columns * rows];
         let at = |r: usize, c: usize| f64::from(planes[VALUE][r * columns + c]);
@@ -388,7 +518,7 @@ impl Patch {
     #[inline(always)]
     fn on_level(&self, px: f64, py: f64, level: usize) -> Sample {
         const UNKNOWN: Sample =
-            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0 };
+            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         if !(px >= -NODE_TOLERANCE
             && py >= -NODE_TOLERANCE
@@ -414,7 +544,7 @@ impl Patch {
         let (value, bend) = (mix([a, b, e, f]), of(BEND));
         let slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
-        Sample { value, variance, distance, gradient: slope, curvature }
+        Sample { value, variance, distance, gradient: slope, curvature, bend }
     }
 
     /// Where a place (cells of the patch) lies at every offset.
@@ -566,7 +696,7 @@ mod tests {
         } else {
             MapSigma::Constant(2.0)
         };
-        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0], 0).unwrap()
+        Patch::new(&map.with_sigma(Some(sigma)).unwrap(), [0.0; 2], [19.0, 14.0], 0, true).unwrap()
     }
 
     fn read_as_one_by_one(patch: &Patch, place: [f64; 2], offsets: &[[f64; 2]]) {
@@ -625,7 +755,7 @@ mod tests {
 
     #[test]
     fn a_value_of_unknown_error_is_a_hole() {
-        let patch = Patch::new(&HalfKnown, [0.0; 2], [10.0; 2], 10_000).unwrap();
+        let patch = Patch::new(&HalfKnown, [0.0; 2], [10.0; 2], 10_000, false).unwrap();
         for (x, known) in [(2.5, true), (7.5, false)] {
             let [u, v] = patch.position(x, 3.0);
             assert_eq!(patch.at(u, v, Storey::GROUND).value.is_finite(), known, "at x = {x}");

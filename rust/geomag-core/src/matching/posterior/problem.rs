@@ -8,8 +8,8 @@ use rayon::prelude::*;
 
 use super::goodness;
 use super::kernel::{self, LANES, Scores, Scratch, Setup};
-use super::model::{Channel, LEVELS, Level, Noise, PosteriorOptions};
-use super::nuisance::{Node, Nuisance, reach_m};
+use super::model::{Channel, Interpolant, LEVELS, Level, Noise, PosteriorOptions, bias_prior};
+use super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Node, Nuisance, legs, reach_m};
 use super::patch::{Patch, Place};
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -76,9 +76,16 @@ impl<'a> Interruption<'a> {
 pub(super) struct Problem<'a> {
     pub options: &'a PosteriorOptions,
     pub field: &'a dyn Field,
+    /// The maps of all channels.
+    pub fields: Vec<&'a dyn Field>,
     pub channels: Vec<Prepared>,
-    samples: usize,
-    nuisance: Nuisance,
+    pub samples: usize,
+    pub nuisance: Nuisance,
+    /// Which straight leg every sample belongs to, and its age from 1 (first) to 0 (newest).
+    pub legs: Vec<usize>,
+    pub age: Vec<f64>,
+    /// Displacement of every sample from the newest, metres `[east, north]`.
+    pub away_m: Vec<[f64; 2]>,
     /// Metres per map unit.
     pub scale_m: [f64; 2],
     pub cell: [f64; 2],
@@ -89,7 +96,9 @@ pub(super) struct Problem<'a> {
 
 /// One channel, made ready.
 pub(super) struct Prepared {
-    patch: Arc<Patch>,
+    pub patch: Arc<Patch>,
+    /// The same at the heights of the nuisance's nodes, where the height is uncertain.
+    lifted: Vec<Arc<Patch>>,
     /// Indicated positions at every node of the nuisance parameters, in cells of the patch: `places[node][sample]`.
     places: Vec<Vec<Place>>,
     /// Indicated positions, cells of the patch.
@@ -97,17 +106,19 @@ pub(super) struct Prepared {
     /// Where their heights lie among the levels of the map.
     storeys: Vec<Storey>,
     /// Measured values minus the patch's level, value units.
-    values: Vec<f32>,
+    pub values: Vec<f32>,
     pub noise: Noise,
     cell_m: [f64; 2],
     /// Unit of the kernel's residuals, value units.
-    unit: f64,
+    pub unit: f64,
 }
 
 /// What of one channel is looked at: error levels and nodes of the nuisance parameters.
 #[derive(Debug, Clone)]
 pub(super) struct Scope {
     pub levels: Range<usize>,
+    /// Whether the bound under the one level stands for all.
+    pub cover: bool,
     pub nodes: Vec<usize>,
 }
 
@@ -126,8 +137,25 @@ pub(super) type Likelihoods = Vec<Scored>;
 const LINEAR: f64 = 0.2;
 /// Bounds of the displacement that is taken as linear, cells of the map.
 const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
+/// What a field may do between the nodes of an exact map, in units of its second difference there: half as much again as the bicubic
+/// surface, which differs from the bilinear one by up to an eighth along either axis.
+const COVER: f32 = 0.375;
+/// Mean square over a cell of what a curve leaves a straight line by, in squares of the second difference: 1/120, more along two axes.
+const BETWEEN_SHARE: f64 = 1.0 / 90.0;
+/// Sum over a track of those squares, in variances of the sensor, up to which no reading tells one surface from another.
+const ALIKE: f64 = 2.0;
 /// Samples times candidates times levels below which one thread is faster than several.
 const PARALLEL: usize = 16_000;
+
+/// Whether no reading along these positions tells one surface through the nodes of a map from another.
+fn alike(patch: &Patch, positions: &[[f64; 2]], noise: &Noise) -> bool {
+    let square = |p: &[f64; 2]| {
+        let [u, v] = patch.position(p[0], p[1]);
+        f64::from(patch.at(u, v, Storey::GROUND).bend).powi(2)
+    };
+    let bent: f64 = positions.iter().map(square).sum();
+    BETWEEN_SHARE * bent < ALIKE * noise.sensor_variance
+}
 
 /// The box around these places with that much room on every side: its low and its high corner.
 fn around(places: &[[f64; 2]], room: [f64; 2]) -> ([f64; 2], [f64; 2]) {
@@ -202,15 +230,27 @@ impl<'a> Problem<'a> {
             }
             // Every map may be on a turn of longitude of its own.
             let positions: Vec<[f64; 2]> = (0..n).map(|k| [channel.field.wrap_x(track.x()[k]), track.y()[k]]).collect();
+            let mut noise = Noise::new(channel, options)?;
             let patch = match laid_out {
-                Some(patch) if index == 0 => Arc::clone(patch),
+                Some(patch) if index == 0 => {
+                    if noise.covered && alike(patch, &positions, &noise) {
+                        noise.with_one_surface();
+                    }
+                    Arc::clone(patch)
+                }
                 _ => {
                     let (low, high) = around(&positions, reach);
-                    Arc::new(Patch::new(channel.field, low, high, options.max_candidates)?)
+                    let mut patch = Patch::new(channel.field, low, high, options.max_candidates, false)?;
+                    if noise.covered && alike(&patch, &positions, &noise) {
+                        noise.with_one_surface();
+                    }
+                    if noise.levels.iter().any(|l| l.surface != Interpolant::Bilinear) {
+                        patch.add_curves();
+                    }
+                    Arc::new(patch)
                 }
             };
             let values: Vec<f32> = channel.values.iter().map(|v| (v - patch.level) as f32).collect();
-            let mut noise = Noise::new(channel, options)?;
             let cell_m = [patch.step()[0] * scale_m[0], patch.step()[1] * scale_m[1]];
             let indicated: Vec<[f64; 2]> = positions.iter().map(|p| patch.position(p[0], p[1])).collect();
             let storeys = match (channel.field.as_stack(), track.height_m()) {
@@ -228,11 +268,35 @@ impl<'a> Problem<'a> {
             let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
             let places = indicated.iter().zip(&storeys).map(|(p, storey)| Place::new(*p).in_storey(*storey)).collect();
             let places = vec![places];
-            prepared.push(Prepared { patch, places, indicated, storeys, values, noise, cell_m, unit });
+            prepared.push(Prepared {
+                patch,
+                lifted: Vec::new(),
+                places,
+                indicated,
+                storeys,
+                values,
+                noise,
+                cell_m,
+                unit,
+            });
         }
-        if !nuisance.shapes.is_empty() {
+        if options.height_sigma_m > 0.0 {
+            for (channel, of) in prepared.iter_mut().zip(channels) {
+                let Some(grid) = of.field.as_grid() else {
+                    let needed = "0 for a field that is no grid: only grids are continued";
+                    return Err(Error::invalid("height_sigma_m", needed, options.height_sigma_m));
+                };
+                let sigma = options.height_sigma_m;
+                let at = |z: &f64| Arc::new(channel.patch.lifted(grid, z * sigma, HEIGHT_NARROWED * sigma));
+                channel.lifted = HEIGHTS.iter().map(at).collect();
+            }
+        }
+        if !nuisance.shapes.is_empty() || options.height_sigma_m > 0.0 {
             let linear_m = prepared.iter().map(Prepared::linear_m).fold(f64::INFINITY, f64::min);
             nuisance = nuisance.divided(linear_m, &away, &age);
+            if options.height_sigma_m > 0.0 {
+                nuisance = nuisance.at_heights();
+            }
             for channel in &mut prepared {
                 channel.move_to(&nuisance);
             }
@@ -241,9 +305,13 @@ impl<'a> Problem<'a> {
         Ok(Self {
             options,
             field,
+            fields: channels.iter().map(|c| c.field).collect(),
             channels: prepared,
             samples: n,
             nuisance,
+            legs: legs(&away),
+            age,
+            away_m: away,
             scale_m,
             cell,
             tolerance_m,
@@ -257,7 +325,7 @@ impl<'a> Problem<'a> {
         // The lattice step is the width of a uniform law.
         let blur = |d: usize| ((step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter) as f32;
         Setup {
-            patch: &channel.patch,
+            patch: channel.patch_at(&self.nuisance.nodes[node]),
             places: &channel.places[node],
             values: &channel.values,
             per_unit: (1.0 / channel.unit) as f32,
@@ -265,12 +333,10 @@ impl<'a> Problem<'a> {
             half_cells: channel.cells(step).map(|s| (0.5 * s) as f32),
             blur_m2: [blur(0), blur(1)],
             sensor_variance: channel.sensor_variance() as f32,
+            lifts: !channel.lifted.is_empty(),
+            cover: 0.0,
             levels: &channel.noise.levels,
-            bias_sigma: match self.options.bias_sigma {
-                None => Some(f64::INFINITY),
-                Some(0.0) => None,
-                Some(s) => Some(s / channel.unit),
-            },
+            bias_sigma: bias_prior(self.options.bias_sigma, channel.unit),
             shapes: &self.nuisance.shapes,
             narrowed: &self.nuisance.narrowed,
             min_overlap: self.options.min_overlap,
@@ -280,16 +346,40 @@ impl<'a> Problem<'a> {
     /// Everything there is to look at.
     pub fn whole(&self) -> Vec<Scope> {
         let nodes: Vec<usize> = (0..self.nuisance.nodes.len()).collect();
-        self.channels.iter().map(|c| Scope { levels: 0..c.noise.levels.len(), nodes: nodes.clone() }).collect()
+        self.channels
+            .iter()
+            .map(|c| Scope { levels: 0..c.noise.levels.len(), cover: false, nodes: nodes.clone() })
+            .collect()
     }
 
-    /// The part of a scope over which bounds are taken: see [`Noise::bounded`].
-    pub fn bounded(&self, scopes: &[Scope]) -> Vec<Scope> {
-        let within = |(channel, scope): (&Prepared, &Scope)| {
-            let levels = scope.levels.start..scope.levels.end.min(channel.noise.bounded).max(scope.levels.start + 1);
-            Scope { levels, nodes: scope.nodes.clone() }
+    /// The surface through the nodes that was named, where there are several: between the places of a coarse lattice they are alike.
+    pub fn named(&self) -> Vec<Scope> {
+        let mut scopes = self.whole();
+        for (scope, channel) in scopes.iter_mut().zip(&self.channels) {
+            let levels = &channel.noise.levels;
+            if channel.noise.covered {
+                scope.levels = 0..levels.iter().take_while(|l| l.surface == levels[0].surface).count();
+            }
+        }
+        scopes
+    }
+
+    /// The part of a scope over which bounds are taken: the first level alone where it stands for all, which under several surfaces it
+    /// does at the `first` stage only.
+    pub fn bounded(&self, scopes: &[Scope], first: bool) -> Vec<Scope> {
+        let part = |(channel, scope): (&Prepared, &Scope)| {
+            let noise = &channel.noise;
+            let cover = first && noise.covered;
+            let levels = if cover {
+                0..1
+            } else if noise.alike {
+                scope.levels.start..scope.levels.start + 1
+            } else {
+                scope.levels.clone()
+            };
+            Scope { levels, cover, nodes: scope.nodes.clone() }
         };
-        self.channels.iter().zip(scopes).map(within).collect()
+        self.channels.iter().zip(scopes).map(part).collect()
     }
 
     /// Log-likelihoods of these offsets in the scope of every channel: densities, or bounds over cells of this step.
@@ -343,6 +433,10 @@ impl<'a> Problem<'a> {
             let mut setup = self.setup(channel, node, step);
             if BOUND {
                 setup.blur_m2 = [self.options.position_sigma_m.powi(2) as f32; 2];
+                if scope.cover {
+                    // The first level is about the surface that was named; the bends in its reach stand for the others.
+                    setup.cover = COVER;
+                }
             }
             let mut scores = kernel::score::<BOUND>(&setup, cells, scope.levels.clone(), scratch);
             if self.nuisance.nodes.len() > 1 {
@@ -358,12 +452,12 @@ impl<'a> Problem<'a> {
     }
 
     /// The node at which this offset is the most likely, given an error level.
-    fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
+    pub fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
         let nodes = self.nuisance.nodes.len();
         if nodes == 1 {
             return 0;
         }
-        let scope = Scope { levels: level..level + 1, nodes: (0..nodes).collect() };
+        let scope = Scope { levels: level..level + 1, cover: false, nodes: (0..nodes).collect() };
         let (_, best) =
             self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut Scratch::default());
         (1..nodes).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
@@ -400,12 +494,12 @@ impl<'a> Problem<'a> {
     /// (1980) 383: the prior predictive check).
     fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
         let (map_sigma, distance) = self.along(channel);
-        let map_variance = channel.mean_variance(&map_sigma);
+        let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
         let setup = self.setup(channel, self.best_node(channel, offset, channel.noise.typical, step), step);
         let mut scratch = Scratch::default();
         let tail = |level: Level| {
             let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
-            let (_, temper) = channel.temper(&level, distance, map_variance, self.spacing_m);
+            let (_, temper) = channel.temper(&level, distance, variances, self.spacing_m);
             level.log_prior.exp() * goodness::p_value(&detail, level.nu, temper)
         };
         channel.noise.checked().into_iter().map(tail).sum()
@@ -420,16 +514,20 @@ impl<'a> Problem<'a> {
         let level = levels.iter().copied().fold(levels[0], |a, b| if b.log_prior > a.log_prior { b } else { a });
         // The first node is the likeliest: nothing moved.
         let setup = self.setup(channel, 0, [0.0, 0.0]);
-        let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut Scratch::default());
+        let mut scratch = Scratch::default();
+        let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut scratch);
+        // Of the stated errors: what the map cannot say between its nodes is no part of the bound.
+        let exact_between = Level { between: 0.0, ..level };
+        let stated = kernel::detail(&setup, [0.0, 0.0], exact_between, &mut scratch);
         let (map_sigma, distance) = self.along(channel);
-
-        let (share, temper) = channel.temper(&level, distance, channel.mean_variance(&map_sigma), self.spacing_m);
+        let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
+        let (share, temper) = channel.temper(&level, distance, variances, self.spacing_m);
         let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };
         let half = self.options.half_width;
         let prior = [0, 1].map(|d| 3.0 / (half[d] * self.scale_m[d]).powi(2));
-        let invert = |factor: f64| {
-            let [ee, en, nn] = detail.information.map(|i| factor * i);
+        let invert = |information: [f64; 3], factor: f64| {
+            let [ee, en, nn] = information.map(|i| factor * i);
             let (ee, nn) = (ee + prior[0], nn + prior[1]);
             let determinant = ee * nn - en * en;
             [[nn / determinant, -en / determinant], [-en / determinant, ee / determinant]]
@@ -438,7 +536,7 @@ impl<'a> Problem<'a> {
         let forecast = noise.forecast.unwrap_or(Forecast { level: 1.0, spread: 1.0 });
         // What the Student-t estimate loses against the normal one where errors are normal: with nu = 3 some 10 %, with 10 some 2 %.
         let loss = 1.0 + 1.0 / (level.nu * level.nu);
-        let mut covariance = invert(temper);
+        let mut covariance = invert(detail.information, temper);
         for (d, row) in covariance.iter_mut().enumerate() {
             for v in row.iter_mut() {
                 *v *= loss;
@@ -449,7 +547,7 @@ impl<'a> Problem<'a> {
             }
         }
         Expected {
-            bound: invert(1.0),
+            bound: invert(stated.information, 1.0),
             covariance,
             coefficient,
             map_sigma: map_sigma.iter().map(|s| forecast.level * level.factor * s).collect(),
@@ -485,9 +583,23 @@ impl<'a> Problem<'a> {
 }
 
 impl Prepared {
+    /// The map at the height of a node.
+    pub fn patch_at(&self, node: &Node) -> &Arc<Patch> {
+        self.lifted.get(node.height).unwrap_or(&self.patch)
+    }
+
     /// Mean square of standard deviations in value units, kernel units squared.
     fn mean_variance(&self, sigma: &[f64]) -> f64 {
         sigma.iter().map(|s| (s / self.unit).powi(2)).sum::<f64>() / sigma.len().max(1) as f64
+    }
+
+    /// Mean square of what the map cannot say between its nodes along the indicated track, kernel units squared.
+    fn between(&self, samples: usize) -> f64 {
+        let square = |(p, storey): (&[f64; 2], &Storey)| {
+            (f64::from(self.patch.at(p[0], p[1], *storey).curvature) / self.unit).powi(2)
+        };
+        self.indicated.iter().zip(&self.storeys).map(square).filter(|s| s.is_finite()).sum::<f64>()
+            / samples.max(1) as f64
     }
 
     /// Length over which the map's errors decorrelate under a level, for a mean distance to the data, metres.
@@ -496,16 +608,28 @@ impl Prepared {
     }
 
     /// Share of the map in the error variance under a level, and the power to which the likelihood is taken, for a mean
-    /// distance to the data in metres and a mean variance of the map (at factor 1; kernel units squared).
+    /// distance to the data in metres and mean variances of the map (at factor 1) and between its nodes (kernel units squared).
     ///
     /// Errors that decorrelate over a length l are those of an AR(1) series with coefficient exp(-spacing / l), of whose samples
-    /// a share (1 - rho) / (1 + rho) = tanh(spacing / 2 l) is independent.
-    pub fn temper(&self, level: &Level, distance: f64, map_variance: f64, spacing_m: f64) -> (f64, f64) {
-        let length = self.correlation_m(level, distance);
-        let independent = if length > 0.0 { (0.5 * spacing_m / length).tanh().max(1e-3) } else { 1.0 };
-        let variance = level.factor * level.factor * map_variance;
-        let share = variance / (variance + self.sensor_variance());
-        (share, 1.0 / ((1.0 - share) + share / independent))
+    /// a share (1 - rho) / (1 + rho) = tanh(spacing / 2 l) is independent. What a map cannot say between its nodes is the same over
+    /// about a cell of it.
+    pub fn temper(
+        &self,
+        level: &Level,
+        distance: f64,
+        [map_variance, between]: [f64; 2],
+        spacing_m: f64,
+    ) -> (f64, f64) {
+        let independent = |length: f64| if length > 0.0 { (0.5 * spacing_m / length).tanh().max(1e-3) } else { 1.0 };
+        let map = level.factor * level.factor * map_variance;
+        // A learnt sigma holds what lies between the nodes, and its correlation is the learnt one.
+        let between = if self.noise.learnt { 0.0 } else { level.between * level.between * between };
+        let whole = map + between + self.sensor_variance();
+        let cell_m = (self.cell_m[0] * self.cell_m[1]).sqrt();
+        let slowed = self.sensor_variance() / whole
+            + map / whole / independent(self.correlation_m(level, distance))
+            + between / whole / independent(cell_m);
+        (map / whole, slowed.recip())
     }
 
     /// Displacement up to which the map is linear for what this channel can tell, metres.

@@ -2,7 +2,7 @@
 
 use super::density::{NOTHING, Posterior, lattice_variance};
 use super::kernel::LANES;
-use super::model::{LEVELS, PosteriorOptions};
+use super::model::{LEVELS, Level, PosteriorOptions};
 use super::problem::{Likelihoods, Problem, Scope};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -22,12 +22,14 @@ const RIVALS: usize = 4;
 const RIVAL: f64 = 6.0;
 /// Cells that are left from which a posterior may be wider than the tolerance.
 const BROAD: usize = 100;
+/// Cells above which a posterior is not refined any further for a rival's sake.
+const MANY: usize = 400;
 /// Cells from which the reference place is sought.
 const STARTS: usize = 8;
 /// Greatest lattice step, in cells, at which the error level of an unknown map is judged.
 const UNKNOWN_STEP: f64 = 0.1251;
-/// Most halvings of the lattice step below one cell of the map.
-const HALVINGS: i32 = 6;
+/// Most halvings of the lattice step below one cell of the map: places are in single precision.
+const HALVINGS: i32 = 20;
 /// Logarithm of the weight below which an error level is left out, and what the first estimate of it may be wrong by.
 const LEVEL_FLOOR: f64 = -9.0;
 const LEVEL_SLACK: f64 = 5.0;
@@ -44,7 +46,8 @@ struct Reference {
     areas: Vec<[f64; LEVELS]>,
     /// Smallest standard deviation of the posterior there, metres.
     spread_m: f64,
-    /// Lattice step that resolves the mode there, map units.
+    /// Where it is, and the lattice step that resolves the mode there, map units.
+    offset: [f64; 2],
     step: [f64; 2],
 }
 
@@ -70,7 +73,7 @@ impl Problem<'_> {
         coarse: bool,
     ) -> (Posterior, Option<Vec<[f64; 2]>>) {
         if coarse && self.options.step.is_none() {
-            let posterior = self.density(offsets.clone(), step, &self.whole());
+            let posterior = self.density(offsets.clone(), step, &self.named());
             if self.hopeless(&posterior, 1.0) {
                 return (posterior, None);
             }
@@ -103,7 +106,7 @@ impl Problem<'_> {
         let mut stages = 1;
         let first_step = step[0];
         let mut scopes = self.whole();
-        let mut bounded = self.bounded(&scopes);
+        let mut bounded = self.bounded(&scopes, true);
         let mut bounds = self.likelihoods::<true>(&offsets, step, &bounded);
         let Some(reference) = self.reference(&offsets, step, &bounds) else {
             // No candidate lies on the map.
@@ -118,7 +121,17 @@ impl Problem<'_> {
             if step[0] <= reference.step[0] * 1.001 {
                 break;
             }
-            let kept = select(&offsets, &excess, PRUNE, SURVIVORS);
+            let mut kept = select(&offsets, &excess, PRUNE, SURVIVORS);
+            if kept.is_empty() {
+                // No bound may lie below what was found under it, but for rounding.
+                kept.extend(offsets.iter().copied().min_by(|a, b| {
+                    let apart = |o: &[f64; 2]| {
+                        let d = [0, 1].map(|d| (o[d] - reference.offset[d]) * self.scale_m[d]);
+                        d[0].hypot(d[1])
+                    };
+                    apart(a).total_cmp(&apart(b))
+                }));
+            }
             self.narrow(&mut scopes, &reference, &bounds, &bounded);
             // A posterior that is wider than the tolerance and that this lattice resolves needs no finer one to say so.
             let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
@@ -137,14 +150,15 @@ impl Problem<'_> {
             if step[0] <= reference.step[0] * 1.001 {
                 break;
             }
-            bounded = self.bounded(&scopes);
+            bounded = self.bounded(&scopes, false);
             bounds = self.likelihoods::<true>(&offsets, step, &bounded);
         }
         let mut posterior = self.density(offsets, step, &scopes);
         // Where the mode turned out narrower than the reference said.
-        while !self.fine_enough(&posterior) {
+        while let Some(coarse) = self.too_coarse(&posterior) {
             let kept = posterior.survivors(PRUNE, SURVIVORS);
-            if kept.is_empty() {
+            // A rival that is narrower than a broad answer is not worth a fine lattice over all of that.
+            if kept.is_empty() || coarse == Coarse::Rival && kept.len() > MANY {
                 break;
             }
             let finer = posterior.step.map(|s| 0.5 * s);
@@ -169,7 +183,15 @@ impl Problem<'_> {
                         .channels
                         .iter()
                         .zip(likelihoods)
-                        .map(|(c, scored)| scored.blocks[i / LANES].log_likelihood[c.noise.typical][i % LANES])
+                        .map(|(c, scored)| {
+                            let of = |v: usize| scored.blocks[i / LANES].log_likelihood[v][i % LANES];
+                            // Which surface the field follows is for the samples to say.
+                            let any = |levels: &[Level]| {
+                                let with_prior = levels.iter().enumerate().map(|(v, l)| of(v) + l.log_prior);
+                                with_prior.fold(f64::NEG_INFINITY, f64::max)
+                            };
+                            if c.noise.covered { any(&c.noise.levels) } else { of(c.noise.typical) }
+                        })
                         .sum();
                     (sum, i)
                 })
@@ -250,7 +272,7 @@ impl Problem<'_> {
         // The largest eigenvalue of the information is the smallest variance.
         let largest = 0.5 * (ee + nn) + (0.25 * (ee - nn).powi(2) + en * en).sqrt();
         let spread_m = largest.recip().sqrt().max(blurred);
-        Reference { log_likelihood, weights: all, areas, spread_m, step }
+        Reference { log_likelihood, weights: all, areas, spread_m, offset, step }
     }
 
     /// The longer side of a lattice cell, metres.
@@ -301,8 +323,9 @@ impl Problem<'_> {
         let mut excess = vec![0.0; count];
         let cell = (step[0] * self.scale_m[0] * step[1] * self.scale_m[1]).ln();
         for (c, (channel, scored)) in self.channels.iter().zip(bounds).enumerate() {
-            let levels = &scopes[c].levels;
-            let law = self.law(channel, &scored.blocks, levels.clone());
+            let cover = scopes[c].cover;
+            let levels = if cover { 0..channel.noise.levels.len() } else { scopes[c].levels.clone() };
+            let law = self.law(channel, &scored.blocks, scopes[c].levels.clone());
             let best = &reference.log_likelihood[c];
             let share =
                 |v: usize| (reference.weights[c][v] + LEVEL_SLACK).min(0.0) - (reference.areas[c][v] - cell).max(0.0);
@@ -311,7 +334,7 @@ impl Problem<'_> {
                 let scores = &scored.blocks[i / LANES].log_likelihood;
                 *sum += levels
                     .clone()
-                    .map(|v| shares[v] + law.temper[v] * (scores[v][i % LANES] - best[v]))
+                    .map(|v| shares[v] + law.temper[v] * (scores[if cover { 0 } else { v }][i % LANES] - best[v]))
                     .fold(f64::NEG_INFINITY, f64::max);
             }
         }
@@ -329,9 +352,11 @@ impl Problem<'_> {
             }
             if scope.nodes.len() > 1 {
                 let law = self.law(&self.channels[c], &bounds[c].blocks, bounded[c].levels.clone());
+                let cover = bounded[c].cover;
                 let within = |best: &[f64; LEVELS]| {
-                    let below = |v: usize| law.temper[v] * (best[v] - reference.log_likelihood[c][v]);
-                    bounded[c].levels.clone().any(|v| below(v) > -PRUNE)
+                    let above = |v: usize| best[if cover { 0 } else { v }] - reference.log_likelihood[c][v];
+                    let below = |v: usize| law.temper[v] * above(v) + (weights[v] + LEVEL_SLACK).min(0.0);
+                    levels.clone().any(|v| below(v) > -PRUNE)
                 };
                 let kept: Vec<bool> = bounds[c].best_of_node.iter().map(within).collect();
                 if kept.contains(&true) {
@@ -342,9 +367,10 @@ impl Problem<'_> {
         }
     }
 
-    /// Whether a finer lattice would change nothing that matters: whether this one resolves every mode that carries mass.
-    fn fine_enough(&self, posterior: &Posterior) -> bool {
-        let Some(best) = posterior.mode() else { return true };
+    /// Which of the modes that carry mass this lattice does not resolve, the answer's own before any other; `None` where a finer one
+    /// would change nothing that matters.
+    fn too_coarse(&self, posterior: &Posterior) -> Option<Coarse> {
+        let best = posterior.mode()?;
         let tolerance2 = self.tolerance_m * self.tolerance_m;
         let mut left: Vec<usize> = (0..posterior.offsets.len())
             .filter(|&i| posterior.log_p[i] > posterior.log_p[best] - 2.0 * RIVAL)
@@ -352,7 +378,7 @@ impl Problem<'_> {
         let mut top = best;
         for _ in 0..RIVALS {
             let centre = posterior.offsets[top];
-            let mut sums = [0.0; 3];
+            let mut sums = [0.0; 4];
             left.retain(|&i| {
                 let o = posterior.offsets[i];
                 let (dx, dy) = ((o[0] - centre[0]) * self.scale_m[0], (o[1] - centre[1]) * self.scale_m[1]);
@@ -362,12 +388,16 @@ impl Problem<'_> {
                     sums[0] += p;
                     sums[1] += p * dx * dx;
                     sums[2] += p * dy * dy;
+                    sums[3] += p * dx * dy;
                 }
                 !near
             });
-            let spread = (sums[1].min(sums[2]) / sums[0].max(f64::MIN_POSITIVE)).sqrt();
+            let [dxx, dyy, dxy] = [1, 2, 3].map(|i| sums[i] / sums[0].max(f64::MIN_POSITIVE));
+            // Along its narrow side, however it lies.
+            let least = 0.5 * (dxx + dyy) - (0.25 * (dxx - dyy).powi(2) + dxy * dxy).sqrt();
+            let spread = least.max(0.0).sqrt();
             if !self.resolves(posterior.step, spread.max(posterior.blur_m[top])) {
-                return false;
+                return Some(if top == best { Coarse::Answer } else { Coarse::Rival });
             }
             let next = left.iter().copied().reduce(|a, b| if posterior.log_p[b] > posterior.log_p[a] { b } else { a });
             match next {
@@ -375,8 +405,15 @@ impl Problem<'_> {
                 _ => break,
             }
         }
-        true
+        None
     }
+}
+
+/// Whose mode a lattice does not resolve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Coarse {
+    Answer,
+    Rival,
 }
 
 /// The offsets whose `merit` is above minus `depth`, the best `most` where there are more, in their order.

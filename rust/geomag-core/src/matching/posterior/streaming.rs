@@ -10,7 +10,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::decide;
-use super::model::{Channel, Noise, PosteriorOptions};
+use super::model::{Channel, Noise, PosteriorOptions, wants_curves};
 use super::nuisance::reach_m;
 use super::patch::Patch;
 use super::problem::Problem;
@@ -37,6 +37,10 @@ const CHEAP: usize = 800;
 const FEWEST: usize = 3;
 /// Standard deviations of heading, scale and drift by which the offset may have moved between samples.
 const MOVED: f64 = 4.0;
+/// What the field may do between the nodes of the map, in units of its second difference there.
+const BETWEEN: f64 = 0.375;
+/// Part of the window after which the gate is laid out anew, so that it forgets what the window has let go.
+const RENEWED: usize = 4;
 /// Movement in lattice steps that is left to the margins of a search.
 const SETTLED: f64 = 0.1;
 /// Name of the saved state.
@@ -71,6 +75,8 @@ struct State {
     /// One a sample, or none.
     heights_m: Vec<f64>,
     seen: usize,
+    /// Samples let go since the gate was last laid out.
+    let_go: usize,
     lattice: Lattice,
     candidates: Vec<Candidate>,
     /// By how much the offset may have moved since the candidates were last spread, metres.
@@ -99,6 +105,9 @@ impl Saved for State {
             return Err(Error::invalid("samples", "no more held than seen and than may be held", got));
         }
         require_not_negative("movement", self.moved_m)?;
+        if self.let_go > self.max_samples {
+            return Err(Error::invalid("samples let go", format!("at most {}", self.max_samples), self.let_go));
+        }
         if !(0.0..=1.0).contains(&self.risk) {
             return Err(Error::invalid("risk", "a probability", self.risk));
         }
@@ -205,6 +214,7 @@ impl PosteriorMatcher {
             values: Vec::new(),
             heights_m: Vec::new(),
             seen: 0,
+            let_go: 0,
             lattice,
             candidates,
             moved_m: 0.0,
@@ -255,7 +265,8 @@ impl PosteriorMatcher {
                 if height_m.is_some() { "none, as the samples before" } else { "a height, as the samples before" };
             return Err(Error::invalid("height_m of a sample", needed, format!("{height_m:?}")));
         }
-        if s.x.len() == s.max_samples {
+        let full = s.x.len() == s.max_samples;
+        if full {
             s.x.remove(0);
             s.y.remove(0);
             s.values.remove(0);
@@ -270,7 +281,13 @@ impl PosteriorMatcher {
         s.seen += 1;
         self.moved();
         self.spread(0.5);
-        self.gate(x, y, value, height_m)?;
+        let s = &mut self.state;
+        s.let_go += usize::from(full);
+        if s.let_go * RENEWED >= s.max_samples {
+            self.renew_gate()?;
+        } else {
+            self.gate(x, y, value, height_m)?;
+        }
         let s = &self.state;
         let n = s.x.len();
         if s.candidates.is_empty() {
@@ -390,7 +407,9 @@ impl PosteriorMatcher {
     /// Lays out the map over the state's window.
     fn lay_out(&mut self, most: u64) -> Result<()> {
         let Some(b) = self.state.window else { return Ok(()) };
-        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], most)?;
+        let o = &self.state.options;
+        let curved = wants_curves(&*self.field, o);
+        let patch = Patch::new(&*self.field, [b[0], b[2]], [b[1], b[3]], most, curved)?;
         self.patch = Some(Arc::new(patch));
         Ok(())
     }
@@ -454,6 +473,21 @@ impl PosteriorMatcher {
         Ok(())
     }
 
+    /// Puts the samples held to the gate anew, so that it forgets those that were let go: where a bias drifts, the interval that
+    /// an old sample allows is not that of today.
+    fn renew_gate(&mut self) -> Result<()> {
+        self.state.let_go = 0;
+        for c in &mut self.state.candidates {
+            *c = Candidate::new(c.offset);
+        }
+        for k in 0..self.state.x.len() {
+            let s = &self.state;
+            let (x, y, value, height_m) = (s.x[k], s.y[k], s.values[k], s.heights_m.get(k).copied());
+            self.gate(x, y, value, height_m)?;
+        }
+        Ok(())
+    }
+
     fn gate(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<()> {
         let storey =
             self.field.as_stack().zip(height_m).and_then(|(stack, h)| stack.storey(h)).unwrap_or(Storey::GROUND);
@@ -472,11 +506,15 @@ impl PosteriorMatcher {
         let jitter = o.position_sigma_m.powi(2);
         let (per_x, per_y) = (1.0 / (cell[0] * scale_m[0]), 1.0 / (cell[1] * scale_m[1]));
         let (half_x, half_y) = (half_x + self.state.moved_m * per_x, half_y + self.state.moved_m * per_y);
+        let between = if noise.levels.iter().any(|l| l.between > 0.0) { BETWEEN } else { 0.0 };
+        // What a bias may step and walk by, and what a height may change: over it the map changes about as much as along it.
+        let untold = GATE * o.leg_bias_sigma.hypot(o.bias_walk);
+        let lift_cells = 3.0 * o.height_sigma_m * per_x.max(per_y);
         let bias_reach = match o.bias_sigma {
             None => f64::INFINITY,
             Some(s) => 4.0 * s,
         };
-        let allowed = FIRST_MISSES + (MISSES * self.state.seen as f64) as u32;
+        let allowed = FIRST_MISSES + (MISSES * (self.state.x.len() + self.state.let_go) as f64) as u32;
         self.state.candidates.retain_mut(|c| {
             let [px, py] = patch.position(x + c.offset[0], y + c.offset[1]);
             let sample = patch.at(px, py, storey);
@@ -487,9 +525,13 @@ impl PosteriorMatcher {
             let [gx, gy] = sample.gradient.map(f64::from);
             let own = noise.sensor_variance
                 + worst * f64::from(sample.variance)
-                + f64::from(sample.curvature).powi(2)
                 + jitter * ((gx * per_x).powi(2) + (gy * per_y).powi(2));
-            let reach = GATE * own.sqrt() + half_x * gx.abs() + half_y * gy.abs();
+            let reach = GATE * own.sqrt()
+                + half_x * gx.abs()
+                + half_y * gy.abs()
+                + (between + half_x.max(half_y).min(1.0)) * f64::from(sample.bend)
+                + untold
+                + lift_cells * (gx.hypot(gy) + f64::from(sample.bend));
             let residual = value - f64::from(sample.value);
             c.take([residual - reach, residual + reach], bias_reach);
             c.misses <= allowed

@@ -2,7 +2,7 @@
 
 use super::super::goodness::MISS;
 use super::integral::{Tails, derivatives, nuisances, weigh};
-use super::{LANES, Level, MOST, Scratch, Setup, WIDENING, fill};
+use super::{FEW, LANES, Level, MOST, SOME, Scratch, Setup, WIDENING, fill};
 
 /// What one candidate looks like under one error level.
 #[derive(Debug, Clone, Copy, Default)]
@@ -44,11 +44,16 @@ impl pulp::WithSimd for Single<'_, '_> {
 
 #[inline(always)]
 fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
-    fill::<false, false>(setup, &[offset], scratch);
-    weigh(scratch, (level.factor * level.factor) as f32);
+    fill::<false>(setup, &[offset], &[level], scratch);
+    weigh::<false>(scratch, &level);
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let mut theta = [[0.0; LANES]; MOST];
-    nuisances::<false>(setup, scratch, Tails::of(&level), &WIDENING, &mut theta);
+    let tails = Tails::of(&level);
+    match with_bias + setup.shapes.len() {
+        0..=FEW => nuisances::<false, FEW>(setup, scratch, tails, &WIDENING, &mut theta),
+        0..=SOME => nuisances::<false, SOME>(setup, scratch, tails, &WIDENING, &mut theta),
+        _ => nuisances::<false, MOST>(setup, scratch, tails, &WIDENING, &mut theta),
+    };
     let nu = level.nu;
     let (mut misfit, mut known, mut misses) = (0.0, 0, 0);
     let size = with_bias + setup.shapes.len();
@@ -65,7 +70,7 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
         let mut h = [0.0; MOST + 2];
         h[0] = f64::from(row.gradient[0][0]);
         h[1] = f64::from(row.gradient[1][0]);
-        let mut e = f64::from(row.residual[0]);
+        let mut e = f64::from(row.error[0]);
         for i in 0..size {
             h[2 + i] = f64::from(derived[i][0]);
             e -= h[2 + i] * theta[i][0];

@@ -1,5 +1,6 @@
 //! The log-likelihood of a block of candidates with bias and other nuisance parameters integrated out.
 
+use super::super::nuisance::Shape;
 use super::{LANES, Lane, Level, MOST, Row, Scratch, Setup, Wide};
 
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
@@ -54,18 +55,23 @@ fn logarithm(x: f32) -> f32 {
     exponent as f32 * std::f32::consts::LN_2 + series
 }
 
-/// Fills the precisions 1 / s^2 and returns minus half the sum of ln s^2.
+/// Fills the errors and precisions 1 / s^2 of a level and returns minus half the sum of ln s^2; for a bound, of the least s^2
+/// within the candidate's cell.
 #[inline(always)]
-pub(super) fn weigh(scratch: &mut Scratch, level2: f32) -> Wide {
+pub(super) fn weigh<const BOUND: bool>(scratch: &mut Scratch, level: &Level) -> Wide {
     let n = scratch.rows.len();
+    let (level2, between2) = ((level.factor * level.factor) as f32, (level.between * level.between) as f32);
+    let (bicubic, spline) = level.surface.parts();
     let mut total = [0.0; LANES];
     let mut product = [1.0_f32; LANES];
     for (k, row) in scratch.rows.iter_mut().enumerate() {
         for l in 0..LANES {
-            let variance = row.extra_variance[l] + level2 * row.map_variance[l];
+            let variance = row.extra_variance[l] + level2 * row.map_variance[l] + between2 * row.between[l];
             row.precision[l] = row.known[l] / variance;
+            row.error[l] = row.residual[l] - bicubic * row.curve[l] - spline * row.spline[l];
+            let least = if BOUND { variance - between2 * (row.between[l] - row.least_between[l]) } else { variance };
             // An unknown sample has variance 1 here, so it changes nothing.
-            product[l] *= variance.clamp(1.0 / LARGEST, LARGEST);
+            product[l] *= least.clamp(1.0 / LARGEST, LARGEST);
         }
         if k % PRODUCT == PRODUCT - 1 || k + 1 == n {
             for l in 0..LANES {
@@ -103,7 +109,7 @@ pub(super) fn one_bias<const BOUND: bool>(
             let scale = (nu + 1.0) * wide;
             for row in &scratch.rows {
                 for l in 0..LANES {
-                    let whole = row.residual[l] - bias[l];
+                    let whole = row.error[l] - bias[l];
                     let p = row.precision[l];
                     if BOUND {
                         // Started on the residuals themselves, each as wide as its reach, then on what is beyond it.
@@ -136,7 +142,7 @@ pub(super) fn one_bias<const BOUND: bool>(
     let per_nu = 1.0 / nu;
     for (k, row) in scratch.rows.iter().enumerate() {
         for l in 0..LANES {
-            let e = beyond::<BOUND>(row.residual[l] - bias[l], row.reach[l]);
+            let e = beyond::<BOUND>(row.error[l] - bias[l], row.reach[l]);
             let p = row.precision[l];
             product[l] *= (1.0 + e * e * p * per_nu).min(most);
             information[l] += p;
@@ -162,9 +168,9 @@ pub(super) fn one_bias<const BOUND: bool>(
 }
 
 #[inline(always)]
-fn narrow(theta: &[Wide; MOST]) -> [Lane; MOST] {
-    let mut narrowed = [[0.0; LANES]; MOST];
-    for i in 0..MOST {
+fn narrow<const M: usize>(theta: &[Wide; MOST]) -> [Lane; M] {
+    let mut narrowed = [[0.0; LANES]; M];
+    for i in 0..M {
         for l in 0..LANES {
             narrowed[i][l] = theta[i][l] as f32;
         }
@@ -174,14 +180,20 @@ fn narrow(theta: &[Wide; MOST]) -> [Lane; MOST] {
 
 /// Derivatives of one sample's residual by the nuisance parameters, bias first where there is one.
 #[inline(always)]
-pub(super) fn derivatives(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usize, h: &mut [Lane; MOST]) {
+pub(super) fn derivatives<const M: usize>(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usize, h: &mut [Lane; M]) {
     if with_bias == 1 {
         h[0] = [1.0; LANES];
     }
-    for (i, shape) in setup.shapes.iter().enumerate() {
-        let [east, north] = shape[k];
-        for l in 0..LANES {
-            h[with_bias + i][l] = row.gradient[0][l] * east + row.gradient[1][l] * north;
+    for (h, shape) in h.iter_mut().skip(with_bias).zip(setup.shapes) {
+        match shape {
+            Shape::Moved(by) => {
+                let [east, north] = by[k];
+                for l in 0..LANES {
+                    h[l] = row.gradient[0][l] * east + row.gradient[1][l] * north;
+                }
+            }
+            Shape::Added(by) => *h = [by[k] * setup.per_unit; LANES],
+            Shape::Lifted => *h = row.lift,
         }
     }
 }
@@ -189,7 +201,7 @@ pub(super) fn derivatives(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usi
 /// The log of the Student-t product with all nuisance parameters integrated out; `theta` becomes their most likely values
 /// (bias first, where there is one; the others in standard deviations), sought from those given.
 #[inline(always)]
-pub(super) fn nuisances<const BOUND: bool>(
+pub(super) fn nuisances<const BOUND: bool, const M: usize>(
     setup: &Setup<'_>,
     scratch: &Scratch,
     tails: Tails,
@@ -198,27 +210,27 @@ pub(super) fn nuisances<const BOUND: bool>(
 ) -> Wide {
     let n = scratch.rows.len();
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let size = (with_bias + setup.shapes.len()).min(MOST);
+    let size = (with_bias + setup.shapes.len()).min(M);
     // Standard deviations are the unit of all but the bias.
-    let mut prior = [1.0_f64; MOST];
+    let mut prior = [1.0_f64; M];
     if let Some(s) = setup.bias_sigma {
         prior[0] = if s.is_finite() { 1.0 / (s * s) } else { 0.0 };
     }
-    let mut h = [[0.0_f32; LANES]; MOST];
-    let mut matrix = [[[0.0_f64; LANES]; MOST]; MOST];
-    let mut right = [[0.0_f64; LANES]; MOST];
+    let mut h = [[0.0_f32; LANES]; M];
+    let mut matrix = [[[0.0_f64; LANES]; M]; M];
+    let mut right = [[0.0_f64; LANES]; M];
     for (turn, wide) in turns.iter().copied().chain([0.0]).enumerate() {
         let expected = turn == turns.len();
         let last = turn + 2 >= turns.len();
         let (nu, cut) = tails.turn(last);
-        let at = narrow(theta);
-        let mut sums = [[[0.0_f32; LANES]; MOST]; MOST];
-        let mut pulls = [[0.0_f32; LANES]; MOST];
+        let at: [Lane; M] = narrow(theta);
+        let mut sums = [[[0.0_f32; LANES]; M]; M];
+        let mut pulls = [[0.0_f32; LANES]; M];
         for (k, row) in scratch.rows.iter().enumerate() {
             derivatives(setup, row, k, with_bias, &mut h);
             let (mut weight, mut pull) = ([0.0_f32; LANES], [0.0_f32; LANES]);
             for l in 0..LANES {
-                let mut e = row.residual[l];
+                let mut e = row.error[l];
                 for i in 0..size {
                     e -= h[i][l] * at[i][l];
                 }
@@ -268,13 +280,13 @@ pub(super) fn nuisances<const BOUND: bool>(
         }
     }
     let Tails { nu, most, .. } = tails;
-    let at = narrow(theta);
+    let at: [Lane; M] = narrow(theta);
     let mut product = [1.0_f32; LANES];
     let mut log = [0.0_f64; LANES];
     for (k, row) in scratch.rows.iter().enumerate() {
         derivatives(setup, row, k, with_bias, &mut h);
         for l in 0..LANES {
-            let mut e = row.residual[l];
+            let mut e = row.error[l];
             for i in 0..size {
                 e -= h[i][l] * at[i][l];
             }
@@ -303,7 +315,7 @@ pub(super) fn nuisances<const BOUND: bool>(
 ///
 /// A pivot that rounding has made zero or negative, of a lane without known samples, is taken as tiny.
 #[inline(always)]
-fn factorise(a: &mut [[Wide; MOST]; MOST], size: usize) {
+fn factorise<const M: usize>(a: &mut [[Wide; M]; M], size: usize) {
     for i in 0..size {
         for j in 0..=i {
             let mut sum = a[i][j];
@@ -321,7 +333,7 @@ fn factorise(a: &mut [[Wide; MOST]; MOST], size: usize) {
 
 /// Solves for the right-hand side in place.
 #[inline(always)]
-fn solve(a: &[[Wide; MOST]; MOST], x: &mut [Wide; MOST], size: usize) {
+fn solve<const M: usize>(a: &[[Wide; M]; M], x: &mut [Wide; M], size: usize) {
     for i in 0..size {
         for l in 0..LANES {
             for k in 0..i {
