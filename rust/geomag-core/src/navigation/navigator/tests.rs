@@ -11,7 +11,7 @@ use super::*;
 use crate::grid::{GridMap, GridValues, Interpolation, MapSigma};
 use crate::map_error::{DistanceLayer, MapErrorModel};
 use crate::monitor::Quiet;
-use crate::synthetic::Random;
+use crate::random::Random;
 
 const R: f64 = 6_371_000.0;
 const SPEED: f64 = 70.0;
