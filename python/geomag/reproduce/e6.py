@@ -12,7 +12,7 @@ from geomag._geomag import GridMap, SlidingContour
 from geomag._optional import require
 from geomag.io import read_grid
 from geomag.reduction import GravityReduction, match_with_reduction
-from geomag.reproduce import Context, Report, Table, _e6_loop
+from geomag.reproduce import Context, Report, Table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -241,21 +241,6 @@ def run(context: Context) -> Report:
     )
     if example is not None:
         report.pictures = [picture(context, grid, *example)]
-    legs = [
-        sail(grid, rng, HOURS[0])
-        for rng in [np.random.default_rng([context.seed, 6, int(HOURS[0])])]
-        for _ in range(trials)
-    ]
-    loop, nees = _e6_loop.table(grid, legs, np.random.default_rng([context.seed, 6, 100]), DRIFT_M_H / 2, SIGMA_MGAL)
-    report.tables.append(
-        Table(
-            "The loop that the paper draws: fixes and readings fed back, an INS of about one nautical mile an hour with platform angles "
-            f"(medians over {trials} legs; squared error over variance {nees:.1f}, 2 is right)",
-            ("hours", "INS m", "after m", "tilt INS '", "tilt after '", "heading INS '", "heading after '"),
-            loop,
-        )
-    )
-    context.say("  E6: the loop: done")
     report.notes = [
         "The source prints no legible figures. A drift of one knot turns and stretches a 12 knot track by up to a "
         "twelfth over the window: a method that holds heading and speed pays for it in the newest point.",
