@@ -215,7 +215,7 @@ impl Saved for Fix {
         }
         for (name, share) in [("risk", self.risk), ("goodness", self.goodness)] {
             if let Some(p) = share
-                && (p < 0.0 || p > 1.0)
+                && !(0.0..=1.0).contains(&p)
             {
                 return Err(Error::invalid(name, "a probability", p));
             }

@@ -114,14 +114,14 @@ impl<'a> Level<'a> {
         for &(start, end) in &self.spans[r] {
             let low = if inner_row { start.max(2).min(end) } else { end };
             let high = if inner_row { end.min(self.columns.saturating_sub(2)).max(low) } else { end };
-            for c in start..low {
-                self.border(r, c, row, &nodes[c]);
+            for (c, node) in (start..low).zip(&nodes[start..low]) {
+                self.border(r, c, row, node);
             }
             if low < high {
                 self.inner(r, low, high, row, nodes, scratch);
             }
-            for c in high..end {
-                self.border(r, c, row, &nodes[c]);
+            for (c, node) in (high..end).zip(&nodes[high..end]) {
+                self.border(r, c, row, node);
             }
         }
     }

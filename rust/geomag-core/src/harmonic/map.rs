@@ -204,6 +204,7 @@ impl HarmonicMap {
     }
 
     /// The scalar that the map gives.
+    #[allow(clippy::misnamed_getters)] // what was asked for; the field `quantity` is how it is computed
     pub fn quantity(&self) -> Quantity {
         self.asked
     }

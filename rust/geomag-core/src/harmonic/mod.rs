@@ -49,13 +49,11 @@ const UNSENSED: f64 = 0.1;
 /// What a uniform field along a direction is called.
 pub fn uniform_name(direction: &[f64; 3]) -> String {
     let axis = direction.iter().position(|c| c.abs() > 1.0 - 1e-6);
-    match axis {
-        Some(i) => format!("uniform field to the {}", ["north", "east", "nadir"][i]),
-        None => {
-            let [n, e, d] = direction;
-            format!("uniform field along [{n:.3}, {e:.3}, {d:.3}] (north, east, down)")
-        }
+    if let Some(i) = axis {
+        return format!("uniform field to the {}", ["north", "east", "nadir"][i]);
     }
+    let [n, e, d] = direction;
+    format!("uniform field along [{n:.3}, {e:.3}, {d:.3}] (north, east, down)")
 }
 
 /// The box that the observations filled: least and greatest north, east and down, metres.

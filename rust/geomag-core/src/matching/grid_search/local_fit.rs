@@ -26,6 +26,7 @@ pub(super) struct LocalFit {
 impl LocalFit {
     /// Gauss-Newton at the matched points over east, north and whatever else was searched: heading, scale, constant,
     /// and for the correlation coefficient the gain.
+    #[allow(clippy::too_many_lines)] // one set of normal equations, built row by row
     pub fn new(
         field: &dyn Field,
         track: &Track,

@@ -47,6 +47,7 @@ pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor
     Ok(fix)
 }
 
+#[allow(clippy::too_many_lines)] // the stages of one search, in their order
 fn search_served(field: &dyn Field, track: &Track, search: &GridSearch, monitor: &dyn Monitor) -> Result<Fix> {
     let spacing = field.spacing();
     let step = search.step.unwrap_or(spacing);

@@ -231,6 +231,7 @@ impl<const BOUND: bool> pulp::WithSimd for Block<'_, '_, BOUND> {
 
 /// Samples the map along the track at every candidate.
 #[inline(always)]
+#[allow(clippy::too_many_lines)] // one pass over samples and lanes
 fn fill<const BOUND: bool>(setup: &Setup<'_>, offsets: &[[f64; 2]], levels: &[Level], scratch: &mut Scratch) {
     // Under a bound that stands for all levels the bends in its reach stand for the curves.
     let cubic = setup.cover == 0.0 && levels.iter().any(|l| l.surface != Interpolant::Bilinear);
@@ -393,8 +394,8 @@ fn evaluate<const BOUND: bool>(
         } else {
             let tails = Tails::of(level);
             let log = match setup.shapes.len() + usize::from(setup.bias_sigma.is_some()) {
-                0..=FEW => nuisances::<BOUND, FEW>(setup, scratch, tails, turns, &mut theta),
-                0..=SOME => nuisances::<BOUND, SOME>(setup, scratch, tails, turns, &mut theta),
+                n if n <= FEW => nuisances::<BOUND, FEW>(setup, scratch, tails, turns, &mut theta),
+                n if n <= SOME => nuisances::<BOUND, SOME>(setup, scratch, tails, turns, &mut theta),
                 _ => nuisances::<BOUND, MOST>(setup, scratch, tails, turns, &mut theta),
             };
             for l in 0..LANES {

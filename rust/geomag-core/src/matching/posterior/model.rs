@@ -248,6 +248,7 @@ impl Level {
 }
 
 /// Error statistics of one channel, settled.
+#[allow(clippy::struct_excessive_bools)] // independent facts about a map
 #[derive(Debug, Clone)]
 pub(super) struct Noise {
     pub sensor_variance: f64,

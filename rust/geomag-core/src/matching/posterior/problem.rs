@@ -176,6 +176,7 @@ impl<'a> Problem<'a> {
     }
 
     /// The same, on a window of the first map that was laid out before and covers all candidates.
+    #[allow(clippy::too_many_lines)] // every input is checked and laid out once, in the order that later ones need
     pub fn on(
         channels: &[Channel<'a>],
         track: &Track,

@@ -93,7 +93,7 @@ impl Batch {
             self.length_m = 0.0;
         }
         self.length_m = self.length_m.max(law.batch_m(place.distance_m));
-        if self.seen % self.every == 0 {
+        if self.seen.is_multiple_of(self.every) {
             if self.readings.len() == MOST {
                 let mut keep = false;
                 self.readings.retain(|_| {

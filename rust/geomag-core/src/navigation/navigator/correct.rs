@@ -174,8 +174,8 @@ impl Navigator {
     pub(super) fn start_again(&mut self, error: [f64; 2], covariance: [[f64; 2]; 2]) {
         self.note_reset();
         let filter = &mut self.state.filter;
-        for axis in 0..2 {
-            filter.separate(POSITION + axis, covariance[axis][axis] + LEAST_SIGMA_M * LEAST_SIGMA_M);
+        for (axis, row) in covariance.iter().enumerate() {
+            filter.separate(POSITION + axis, row[axis] + LEAST_SIGMA_M * LEAST_SIGMA_M);
         }
         filter.set(POSITION, POSITION + 1, covariance[0][1]);
         filter.separate(BIAS, self.state.options.bias_sigma.powi(2));

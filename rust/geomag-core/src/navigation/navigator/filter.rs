@@ -1,5 +1,8 @@
 //! The Kalman filter itself: a mean and a covariance of any number of states, of which all but the first few only decay.
 
+// Matrices are indexed as the formulas are.
+#![allow(clippy::needless_range_loop)]
+
 use serde::{Deserialize, Serialize};
 
 use super::motion::{COUPLED, INS_STATES, Rows};

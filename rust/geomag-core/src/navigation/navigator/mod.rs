@@ -77,6 +77,7 @@ struct Newest {
 }
 
 /// Everything that changes from step to step, and what was asked for.
+#[allow(clippy::struct_excessive_bools)] // independent facts about the flight so far
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct State {
     options: NavigatorOptions,

@@ -13,6 +13,9 @@
 //! Source: Titterton & Weston, *Strapdown Inertial Navigation Technology*, sect. 12.3; Groves, *Principles of GNSS, Inertial, and Multisensor
 //! Integrated Navigation Systems*, sect. 14.2.
 
+// Matrices are indexed as the formulas are.
+#![allow(clippy::needless_range_loop)]
+
 use super::ins::GRAVITY_M_S2;
 
 /// Rate of the Earth's rotation, radians a second (WGS84).

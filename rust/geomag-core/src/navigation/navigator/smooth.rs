@@ -155,7 +155,8 @@ fn moved_back(phi: &Rows, factors: &[f64], adjoint: &mut [f64], matrix: &mut [f6
             }
         }
     };
-    left(&adjoint.to_vec(), adjoint, 1);
+    let before = adjoint.to_vec();
+    left(&before, adjoint, 1);
     left(matrix, buffer, n);
     // Symmetric: the other side is the same on the transpose.
     for i in 0..n {
@@ -163,7 +164,7 @@ fn moved_back(phi: &Rows, factors: &[f64], adjoint: &mut [f64], matrix: &mut [f6
             matrix[i * n + j] = buffer[j * n + i];
         }
     }
-    left(&matrix.to_vec(), buffer, n);
+    left(matrix, buffer, n);
     matrix.copy_from_slice(buffer);
 }
 

@@ -50,8 +50,8 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
     let mut theta = [[0.0; LANES]; MOST];
     let tails = Tails::of(&level);
     match with_bias + setup.shapes.len() {
-        0..=FEW => nuisances::<false, FEW>(setup, scratch, tails, &WIDENING, &mut theta),
-        0..=SOME => nuisances::<false, SOME>(setup, scratch, tails, &WIDENING, &mut theta),
+        n if n <= FEW => nuisances::<false, FEW>(setup, scratch, tails, &WIDENING, &mut theta),
+        n if n <= SOME => nuisances::<false, SOME>(setup, scratch, tails, &WIDENING, &mut theta),
         _ => nuisances::<false, MOST>(setup, scratch, tails, &WIDENING, &mut theta),
     };
     let nu = level.nu;
