@@ -116,7 +116,7 @@ def test_pickles(field, path):
         (lambda: synthetic.Crust(texture_rms=float("nan")).draw(EXTENT), "texture_rms"),
         (lambda: synthetic.Crust(waves="many").draw(EXTENT), "waves|many"),
         (lambda: synthetic.Crust().draw((0, 0, 0, 1)), "extent"),
-        (lambda: synthetic.Crust().draw((0, 80, 1, 95), geographic=True), "latitudes"),
+        (lambda: synthetic.Crust().draw((0, 80, 1, 95), geographic=True), "latitude"),
         (lambda: synthetic.Path.straight((0, 0), course_deg=0, speed_m_s=0, interval_s=1, samples=2), "speed_m_s"),
         (lambda: synthetic.Path([0.0], [0.0, 1.0], [0.0]), "path y"),
         (lambda: synthetic.InsSpread(synthetic.Ring(-1.0)).draw(0), "radius_m"),

@@ -20,6 +20,7 @@ fn map(exact: bool) -> GridMap {
     let sigma = MapSigma::Constant(if exact { 0.0 } else { 5.0 });
     let map = GridMap::new(GridValues::F64(values), &axis, &axis, false).unwrap().with_sigma(Some(sigma)).unwrap();
     let model = MapErrorModel {
+        misfit_threshold: None,
         nu: 3.0,
         scale_spread: 0.35,
         correlation: 1.3,

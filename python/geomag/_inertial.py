@@ -240,7 +240,7 @@ def indicate(
     >>> t = np.arange(0.0, 3601.0, 10.0)
     >>> flown = synthetic.indicate(t, 0 * t, 100 * t, geographic=False, error=synthetic.InertialError(heading_deg=0.1))
     >>> [round(float(v), -1) for v in flown.error[-1, :2]]
-    [450.0, -2500.0]
+    [460.0, -2570.0]
     """
     time, px, py = _path(time_s, x, y)
     latitude = py if geographic else np.full(py.size, float(latitude_deg))

@@ -230,7 +230,7 @@ def line_flights(
     >>> lines = synthetic.survey(field, line_spacing_m=500.0, tie_spacing_m=5_000.0)
     >>> flights = line_flights(lines, hours=1.0)
     >>> len(flights), len(flights[0].lines), round(flights[0].reading_share, 2)
-    (5, 9, 0.98)
+    (4, 9, 0.99)
     """
     above(0, hours=hours, speed_m_s=speed_m_s, step_m=step_m, longest_transit_s=longest_transit_s)
     at_least(1, most=most)

@@ -48,6 +48,7 @@ _FIELDS = (
     "covariance_m2",
     "risk",
     "goodness",
+    "misfit",
     "score",
     "runner_up",
     "n_samples",

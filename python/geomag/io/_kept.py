@@ -28,6 +28,8 @@ def _known(grid: GridMap) -> dict[str, Any]:
     known: dict[str, Any] = {}
     if grid.sigma is not None:
         known["sigma"] = grid.sigma
+    if grid.correlation_m is not None:
+        known["correlation_m"] = grid.correlation_m
     if grid.height_m is not None:
         known["height_m"] = grid.height_m
     if grid.ground_scale is not None:
@@ -134,13 +136,13 @@ def _rebuilt(grid: GridMap, kept: dict[str, Any], layer: Any, override: bool) ->
         known[key] = np.asarray(values)
     model = {k.partition(".")[2]: _tuple(v) for k, v in known.items() if k.startswith("error_model.")}
     # A sigma that the caller gives stands for all that is known of the errors.
-    sigma = grid.sigma if override else known.get("sigma")
+    errors = (grid.sigma, grid.correlation_m) if override else (known.get("sigma"), known.get("correlation_m"))
     (x0, dx), (y0, dy) = kept["axes"]
     text = (kept.get("name", grid.name), grid.units, kept.get("crs", grid.crs))
     scale = known.get("ground_scale")
     restore: Any = GridMap._restore
     out: GridMap = restore(
-        grid.values, ((x0, dx), (y0, dy)), grid.geographic, sigma, text, None, known.get("height_m"),
+        grid.values, ((x0, dx), (y0, dy)), grid.geographic, errors, text, None, known.get("height_m"),
         None if scale is None else np.array(scale),
     )  # fmt: skip
     return out.with_error_model(**model) if model and not override else out

@@ -98,6 +98,7 @@ impl PyCompensator {
         Ok(Self { inner: Shared::new(state::load(bytes)?) })
     }
 
+    #[allow(clippy::unused_self)] // a method to Python
     fn __repr__(&self) -> String {
         format!("Compensator({TERMS} terms of {SCALE_NT} nT)")
     }

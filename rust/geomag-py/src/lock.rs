@@ -56,7 +56,7 @@ impl<S: Stream> Shared<S> {
 
     /// Begins again.
     pub fn begin_again(&self, py: Python<'_>) -> PyRes<()> {
-        Ok(self.with(py, |s| s.begin_again())?)
+        Ok(self.with(py, Stream::begin_again)?)
     }
 
     /// Samples seen.

@@ -379,7 +379,7 @@ fn options(given: Option<&Bound<'_, PyDict>>) -> PyRes<NavigatorOptions> {
             }
             _ => {
                 let text = format!("unexpected keyword argument '{key}'");
-                return Err(PyErr::from(pyo3::exceptions::PyTypeError::new_err(text)).into());
+                return Err(pyo3::exceptions::PyTypeError::new_err(text).into());
             }
         }
     }

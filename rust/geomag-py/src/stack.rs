@@ -118,10 +118,10 @@ impl PyMapStack {
         self.levels.len()
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Vec<Py<PyGridMap>>,))> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (Vec<Py<PyGridMap>>,)) {
         let py = slf.py();
         let levels = slf.get().levels.iter().map(|level| level.clone_ref(py)).collect();
-        Ok((slf.get_type().into_any(), (levels,)))
+        (slf.get_type().into_any(), (levels,))
     }
 
     fn __repr__(&self) -> String {

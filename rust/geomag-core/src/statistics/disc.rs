@@ -145,6 +145,8 @@ fn scaled_bessel_i0(x: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unreadable_literal)] // reference values as they were computed
+
     use super::*;
 
     #[test]
