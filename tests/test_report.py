@@ -326,7 +326,7 @@ def test_lines_are_cut_at_the_date_line():
             [[180.0, 13.0], [179.0, 14.0]],
         ],
     }
-    whole = exchange.geojson({"log": [*line, 180.0, 0.0]})["features"][0]["geometry"]
+    whole = exchange.geojson({"log": line + np.array([180.0, 0.0])})["features"][0]["geometry"]
     assert whole["type"] == "LineString"
 
 

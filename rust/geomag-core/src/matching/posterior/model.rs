@@ -420,8 +420,12 @@ impl Noise {
         (self.covered, self.alike) = (false, true);
     }
 
-    /// The levels over which residuals are checked: those of a spread to its far tail; else the worst, of which a track may be without being unlikely.
+    /// The levels over which residuals are checked: every way that the field may run between exact nodes; those of a spread to its far tail;
+    /// else the worst, of which a track may be without being unlikely.
     pub fn checked(&self) -> Vec<Level> {
+        if self.covered {
+            return self.levels.clone();
+        }
         if self.spread == 0.0 {
             let size = |l: &Level| (l.factor, l.between);
             let worst =
