@@ -43,7 +43,9 @@ def test_the_declared_risk_is_the_line_of_the_computed_one(scene):
         after = geomag.match_posterior_many(again, tracks, streaming=streaming, max_risk=1e-12, **options)
         computed = np.array([f.risk for f in before])
         assert np.ptp(computed) > 0.01
-        np.testing.assert_allclose([f.risk for f in after], recalibrated(computed, line), rtol=1e-9, atol=1e-10)  # rounding of 1 - mass
+        np.testing.assert_allclose(
+            [f.risk for f in after], recalibrated(computed, line), rtol=1e-9, atol=1e-10
+        )  # rounding of 1 - mass
     # What is declared follows: the limit is one of the declared risk.
     fixed = geomag.match_posterior_many(read, tracks, max_risk=0.1, **options)
     assert all(f.risk <= 0.1 for f in fixed if f.ok)

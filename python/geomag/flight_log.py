@@ -3,15 +3,15 @@
 Text with a header line: time, position and reading, and where there are, velocity and heading of the INS (without them the navigator takes differences of
 positions) and the true position (for tests). A reading that is missing is an empty field or `nan`.
 
-| column | names that are known |
-|---|---|
-| time, seconds | time_s, time, t, tt, seconds |
-| x | longitude, lon, x, easting, east, ins_lon |
-| y | latitude, lat, y, northing, north, ins_lat |
-| reading | value, total_field_anomaly_nt, anomaly, magnetic, gravity, mag, reading |
-| velocity, m/s | velocity_east_m_s, ve, v_east, ins_ve and velocity_north_m_s, vn, v_north, ins_vn |
-| heading, degrees | heading_deg, heading, yaw_deg, yaw, ins_yaw |
-| truth | true_x, true_longitude, true_lon and true_y, true_latitude, true_lat |
+Columns and the names that are known:
+
+- time, seconds: time_s, time, t, tt, seconds
+- x: longitude, lon, x, easting, east, ins_lon
+- y: latitude, lat, y, northing, north, ins_lat
+- reading: value, total_field_anomaly_nt, anomaly, magnetic, gravity, mag, reading
+- velocity, m/s: velocity_east_m_s, ve, v_east, ins_ve and velocity_north_m_s, vn, v_north, ins_vn
+- heading, degrees: heading_deg, heading, yaw_deg, yaw, ins_yaw
+- truth: true_x, true_longitude, true_lon and true_y, true_latitude, true_lat
 """
 
 from __future__ import annotations

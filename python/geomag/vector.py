@@ -1,7 +1,7 @@
 """Vector readings: three components turned by the attitude, or what needs no attitude, as channels of a match.
 
 A vector magnetometer reads three components in the vehicle's axes. With attitude they are turned into north, east, down
-(`in_ned`); without one, what no rotation changes is left: the length |B|, and with an accelerometer the component along gravity B.g
+(`in_ned`); without one, what no rotation changes is left: the length ``|B|``, and with an accelerometer the component along gravity B.g
 (`invariants`). Each becomes a channel beside a map of the same quantity: `component_channels` and `invariant_channels` make them
 of a rectangular harmonic model, or of three component maps, for `match_posterior(..., more=)` and `match_contour(..., channels=)`;
 `geomag.FieldNavigator` takes them with `FieldSensor(model, reading=...)`.

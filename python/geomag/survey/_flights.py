@@ -48,6 +48,9 @@ def learn_from_flights(
     how far they go together, how they spread from track to track and how risks are to be read: what `learn_errors` does with lines left out. The
     flights must not be in the grid.
 
+    Returns an `ErrorModel`, for `with_errors` with None for the lines. Raises `TooFewSamplesError` where fewer than 6 windows can be made on the grid.
+    The method is geomag's own.
+
     Parameters
     ----------
     grid : the map; its sigma and error model, if any, are not used.
@@ -56,9 +59,6 @@ def learn_from_flights(
     spacing_m, half_width_m, tolerance_m, samples : as they will be flown (see `learn_errors`).
     seed : of starts and choices of windows.
     progress : True for a bar, or a callable (done, total).
-
-    Returns an `ErrorModel` for `with_errors(grid, None, model)`. Raises `TooFewSamplesError` where fewer than 6 windows can be made on the grid. Source:
-    geomag's own.
 
     Examples
     --------

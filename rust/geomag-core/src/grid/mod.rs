@@ -257,7 +257,7 @@ impl GridMap {
     /// The same projected map with the scale of its projection, so that metres are metres on the ground.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a geographic map, whose scale is known, and as [`GroundScale::new`].
+    /// [`Error::Invalid`] for a geographic map, whose scale is known, and for a scale that is no number above zero.
     pub fn with_ground_scale(mut self, rows: Option<Vec<[f64; 2]>>) -> Result<Self> {
         if rows.is_some() && self.geographic {
             return Err(Error::invalid("map ground_scale", "none for a geographic map", "a scale"));

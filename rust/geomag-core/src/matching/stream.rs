@@ -41,7 +41,7 @@ impl Sample {
 
 /// A matcher that takes samples one by one in bounded memory.
 ///
-/// An update is all or nothing: one that is refused leaves the stream as it was. What [`Stream::save`] gives goes on, bit for bit,
+/// An update is all or nothing: one that is refused leaves the stream as it was. What its saved state holds goes on, bit for bit,
 /// where it left off.
 pub trait Stream: Clone + Send {
     /// Takes one sample. `monitor` may stop it; the sample is then not taken.

@@ -38,7 +38,7 @@ const REJECT: f64 = 1e-6;
 /// A track that no candidate brings onto the map is `lost`.
 ///
 /// # Errors
-/// [`Error::Invalid`] for options out of range, [`Error::TooManyCandidates`], [`Error::TooFewSamples`], [`Error::Interrupted`].
+/// [`Error::Invalid`](crate::error::Error::Invalid) for options out of range, [`Error::TooManyCandidates`](crate::error::Error::TooManyCandidates), [`Error::TooFewSamples`](crate::error::Error::TooFewSamples), [`Error::Interrupted`](crate::error::Error::Interrupted).
 pub fn match_grid(field: &dyn Field, track: &Track, search: &GridSearch, monitor: &dyn Monitor) -> Result<Fix> {
     search.check(field.geographic(), track)?;
     let served = served(field, track)?;

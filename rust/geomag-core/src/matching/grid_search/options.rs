@@ -9,7 +9,7 @@ use crate::matching::similarity::{Criterion, Robust, Scoring};
 use crate::statistics::chi_square_survival;
 use crate::track::Track;
 
-/// Options of [`match_grid`]; the defaults search offsets alone with the mean square difference.
+/// Options of [`match_grid`](super::match_grid); the defaults search offsets alone with the mean square difference.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GridSearch {
     /// Measure.
