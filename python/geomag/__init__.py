@@ -17,6 +17,9 @@ returns a position fix with its risk.
 
 from __future__ import annotations
 
+from importlib import import_module
+from types import ModuleType
+
 from geomag._errors import (
     CandidateLimitError,
     DataWarning,
@@ -80,6 +83,26 @@ from geomag._navigation import Navigation, navigate
 from geomag._sequence import ChosenSamples, delta_modulation
 from geomag._versions import show_versions
 from geomag.io import read_grid, read_track
+
+#: Modules that are imported when they are first asked for, so that `import geomag` stays light.
+_MODULES = frozenset({
+    "accessor", "blocks", "calibration", "campaign", "compensation", "continuation", "dafmit", "disturbances", "diurnal", "exchange", "flight_log", "flights",
+    "harmonic_survey", "mainfield", "mavlink", "navigation_report", "plot", "projection", "reduction", "report", "reproduce", "stream", "stress",
+    "survey", "synthetic", "vector",
+})  # fmt: skip
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import a module of the package when it is first asked for."""
+    if name in _MODULES:
+        return import_module(f"geomag.{name}")
+    raise AttributeError(f"module 'geomag' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """Names of the package, its modules among them."""
+    return sorted({*globals(), *_MODULES})
+
 
 __all__ = [
     "CandidateLimitError",
