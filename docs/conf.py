@@ -15,7 +15,7 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # MathJax beside the pages: formulas need no network
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
 ]
