@@ -64,6 +64,31 @@ MATCHING = [
 ]
 
 
+#: Floors inside `matching/posterior`, lowest first; on each, from left to right, the later may use the earlier.
+POSTERIOR = [
+    ["options", "lattice", "patch"],
+    ["noise", "nuisance"],
+    ["kernel", "goodness", "problem"],
+    ["density", "reference", "search"],
+    ["misfit", "decide", "streaming", "batch", "predict"],
+]
+
+
+def reached(text, prefix):
+    """First names after a path, also those in the braces of a `use`: `super::{a::b, c}` reaches a and c."""
+    found = set(re.findall(rf"(?<!super::){prefix}(?!super\b)(\w+)", text))
+    for opening in re.finditer(rf"(?<!super::){prefix}\{{", text):
+        depth, inner = 1, []
+        for letter in text[opening.end() :]:
+            depth += {"{": 1, "}": -1}.get(letter, 0)
+            if depth == 0:
+                break
+            # What stands deeper belongs to the name before its brace.
+            inner.append(letter if depth == 1 else " ")
+        found |= {name.split("::")[0].strip() for name in "".join(inner).split(",")}
+    return found
+
+
 def siblings(folder):
     """Which modules of a folder use which: module -> those that it names, through `super`, its own path or `use`."""
     inside = {path.stem: [path] for path in folder.glob("*.rs") if path.stem not in ("mod", "tests")}
@@ -76,17 +101,28 @@ def siblings(folder):
         uses[name] = set()
         for file in files:
             text = without_tests_and_comments(file.read_text(encoding="utf-8"))
-            found = re.findall(rf"crate::{path}::(\w+)", text)
             depth = len(file.relative_to(folder).parts) - 1 + (0 if file.stem == "mod" else 1)
-            found += re.findall(
-                r"(?<!super::)" + "super::" * max(depth if file.parent != folder else 1, 1) + r"(\w+)", text
-            )
+            found = reached(text, f"crate::{path}::") | reached(text, "super::" * max(depth, 1))
             uses[name] |= {other for other in found if other in inside and other != name}
     return uses
 
 
 @pytest.mark.parametrize(
-    "name", ["matching", "matching/grid_search", "matching/contour", "matching/refine", "kalman", "lattice", "grid"]
+    "name",
+    [
+        "matching",
+        "matching/grid_search",
+        "matching/contour",
+        "matching/refine",
+        "matching/posterior",
+        "matching/posterior/patch",
+        "matching/posterior/kernel",
+        "matching/posterior/problem",
+        "matching/posterior/streaming",
+        "kalman",
+        "lattice",
+        "grid",
+    ],
 )
 def test_no_circle_among_the_modules_of_a_folder(name):
     uses = siblings(CORE / name)
@@ -109,6 +145,31 @@ def test_arrows_go_down_inside_matching():
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     for floor in MATCHING:
         assert any(all(re.search(rf"\b{module}\b", line) for module in floor) for line in page.splitlines()), floor
+
+
+def test_arrows_go_down_inside_the_posterior():
+    order = {name: k for k, name in enumerate(name for floor in POSTERIOR for name in floor)}
+    uses = siblings(CORE / "matching" / "posterior")
+    assert set(uses) == set(order), "name a new module in POSTERIOR and in docs/architecture.md"
+    for name, others in uses.items():
+        for other in others:
+            assert order[other] < order[name], f"posterior/{name} uses {other}, which does not lie below it"
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    for floor in POSTERIOR:
+        assert re.search(rf"^{' '.join(floor)}\b", page, re.M), f"docs/architecture.md does not show {floor}"
+
+
+@pytest.mark.parametrize("name", ["patch", "kernel", "problem", "streaming", ""])
+def test_the_parts_of_the_posterior_take_nothing_from_the_folder_they_stand_in(name):
+    folder = CORE / "matching" / "posterior" / name
+    # A folder's own file only says what is in it: what its parts share stands in one of them.
+    text = without_tests_and_comments((folder / "mod.rs").read_text(encoding="utf-8"))
+    assert not re.search(r"^\s*(?:pub\S* )?(?:fn|struct|enum|impl|const|trait)\b", text, re.M)
+
+
+def test_names_in_braces_are_arrows_too():
+    assert reached("use super::{a::{b, c}, d};\nuse super::super::e::F;", "super::") == {"a", "d"}
+    assert reached("use super::super::{e::F, g};", "super::super::") == {"e", "g"}
 
 
 def test_kalman_knows_no_field():

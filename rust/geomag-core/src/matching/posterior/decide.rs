@@ -1,9 +1,9 @@
 //! From a posterior to an answer: centre, covariance, risk and status.
 
 use super::density::Posterior;
+use super::lattice::Lattice;
 use super::misfit;
 use super::problem::Problem;
-use super::search::Lattice;
 use crate::fix::{Fix, Status, Surface};
 use crate::statistics::round_normal_in_disc;
 use crate::track::Track;

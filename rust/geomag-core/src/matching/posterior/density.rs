@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::kernel::{LANES, Scores};
-use super::model::{LEVELS, Noise};
+use super::lattice::{lattice_variance, select};
+use super::noise::{LEVELS, Noise};
 use super::problem::{Prepared, Problem, Scope};
-use super::search::select;
 
 /// Logarithm of a share that changes no sum.
 pub(super) const NOTHING: f64 = -36.0;
@@ -193,9 +193,4 @@ impl Law {
         let top = weights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         weights.map(|w| w - top)
     }
-}
-
-/// Variance per axis of a place anywhere in a lattice cell, square metres.
-pub(super) fn lattice_variance(step: [f64; 2], scale_m: [f64; 2]) -> f64 {
-    (0..2).map(|d| (step[d] * scale_m[d]).powi(2)).sum::<f64>() / 24.0
 }

@@ -3,8 +3,6 @@
 use super::kernel::Detail;
 use crate::statistics::{binomial_tail, normal_tail};
 
-/// Standard deviations beyond which a sample is a miss. A Student-t law with nu = 10 has 5 in 10,000 there, one with nu = 3 15 in 1,000.
-pub(super) const MISS: f64 = 5.0;
 /// Share of misses that any track may have: tails make them harmless, and a sensor that throws one reading in twenty is common.
 const MISSES: f64 = 0.1;
 

@@ -1,6 +1,6 @@
 //! What moves the samples of a track against each other: heading, scale and drift.
 
-use super::model::PosteriorOptions;
+use super::options::PosteriorOptions;
 
 /// Standard deviations of the prior that the nodes cover.
 const REACH: f64 = 4.0;

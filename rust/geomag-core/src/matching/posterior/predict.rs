@@ -5,9 +5,9 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-use super::model::{Channel, PosteriorOptions};
+use super::batch::{At, MANY, match_interruptible};
+use super::options::{Channel, PosteriorOptions};
 use super::problem::Problem;
-use super::{At, MANY, match_interruptible};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::monitor::{Monitor, Quiet};

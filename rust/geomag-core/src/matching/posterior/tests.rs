@@ -6,6 +6,7 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
+use crate::field::Field;
 use crate::fix::Status;
 use crate::grid::{GridMap, GridValues, MapSigma};
 use crate::track::Track;

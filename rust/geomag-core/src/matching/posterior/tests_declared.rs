@@ -7,7 +7,8 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
-use crate::fix::Status;
+use crate::field::Field;
+use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, GridValues, Interpolation, MapSigma};
 use crate::track::Track;
 

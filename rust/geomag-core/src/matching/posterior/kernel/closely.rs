@@ -1,8 +1,12 @@
 //! One candidate looked at closely: its parameters, its misfit, what it tells of the offset.
 
-use super::super::goodness::MISS;
+use super::super::noise::Level;
+use super::fill::fill;
 use super::integral::{Tails, derivatives, nuisances, weigh};
-use super::{FEW, LANES, Level, MOST, SOME, Scratch, Setup, WIDENING, fill};
+use super::setup::{FEW, LANES, MOST, SOME, Scratch, Setup, WIDENING};
+
+/// Standard deviations beyond which a sample is a miss. A Student-t law with nu = 10 has 5 in 10,000 there, one with nu = 3 15 in 1,000.
+const MISS: f64 = 5.0;
 
 /// What one candidate looks like under one error level.
 #[derive(Debug, Clone, Copy, Default)]

@@ -1,7 +1,8 @@
 //! The log-likelihood of a block of candidates with bias and other nuisance parameters integrated out.
 
+use super::super::noise::Level;
 use super::super::nuisance::Shape;
-use super::{LANES, Lane, Level, MOST, Row, Scratch, Setup, Wide};
+use super::setup::{LANES, Lane, MOST, Row, Scratch, Setup, Wide};
 
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
 const PRODUCT: usize = 4;

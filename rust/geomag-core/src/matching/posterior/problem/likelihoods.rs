@@ -1,0 +1,157 @@
+//! Log-likelihoods of offsets by every channel, in the scope of error levels and nodes that still matter.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::super::kernel::{self, LANES, Scores, Scratch};
+use super::super::noise::LEVELS;
+use super::channel::Prepared;
+use super::ready::Problem;
+
+/// What of one channel is looked at: error levels and nodes of the nuisance parameters.
+#[derive(Debug, Clone)]
+pub(in super::super) struct Scope {
+    pub levels: Range<usize>,
+    /// Whether the bound under the one level stands for all.
+    pub cover: bool,
+    pub nodes: Vec<usize>,
+}
+
+/// Scores of all candidates by one channel.
+pub(in super::super) struct Scored {
+    /// A block of [`LANES`] candidates each.
+    pub blocks: Vec<Scores>,
+    /// The largest log-likelihood of any candidate at every node in the scope, its share of the prior counted.
+    pub best_of_node: Vec<[f64; LEVELS]>,
+}
+
+/// The scores by every channel.
+pub(in super::super) type Likelihoods = Vec<Scored>;
+/// What a field may do between the nodes of an exact map, in units of its second difference there: half as much again as the bicubic
+/// surface, which differs from the bilinear one by up to an eighth along either axis.
+const COVER: f32 = 0.375;
+/// Samples times candidates times levels below which one thread is faster than several.
+const PARALLEL: usize = 16_000;
+
+impl Problem<'_> {
+    /// Everything there is to look at.
+    pub fn whole(&self) -> Vec<Scope> {
+        let nodes: Vec<usize> = (0..self.nuisance.nodes.len()).collect();
+        self.channels
+            .iter()
+            .map(|c| Scope { levels: 0..c.noise.levels.len(), cover: false, nodes: nodes.clone() })
+            .collect()
+    }
+
+    /// The surface through the nodes that was named, where there are several: between the places of a coarse lattice they are alike.
+    pub fn named(&self) -> Vec<Scope> {
+        let mut scopes = self.whole();
+        for (scope, channel) in scopes.iter_mut().zip(&self.channels) {
+            let levels = &channel.noise.levels;
+            if channel.noise.covered {
+                scope.levels = 0..levels.iter().take_while(|l| l.surface == levels[0].surface).count();
+            }
+        }
+        scopes
+    }
+
+    /// The part of a scope over which bounds are taken: the first level alone where it stands for all, which under several surfaces it
+    /// does at the `first` stage only.
+    pub fn bounded(&self, scopes: &[Scope], first: bool) -> Vec<Scope> {
+        let part = |(channel, scope): (&Prepared, &Scope)| {
+            let noise = &channel.noise;
+            let cover = first && noise.covered;
+            let levels = if cover {
+                0..1
+            } else if noise.alike {
+                scope.levels.start..scope.levels.start + 1
+            } else {
+                scope.levels.clone()
+            };
+            Scope { levels, cover, nodes: scope.nodes.clone() }
+        };
+        self.channels.iter().zip(scopes).map(part).collect()
+    }
+
+    /// Log-likelihoods of these offsets in the scope of every channel: densities, or bounds over cells of this step.
+    pub fn likelihoods<const BOUND: bool>(
+        &self,
+        offsets: &[[f64; 2]],
+        step: [f64; 2],
+        scopes: &[Scope],
+    ) -> Likelihoods {
+        let score = |(channel, scope): (&Prepared, &Scope)| {
+            let cells: Vec<[f64; 2]> = offsets.iter().map(|o| channel.cells(*o)).collect();
+            let one = |scratch: &mut Scratch, block: &[[f64; 2]]| {
+                if self.interruption.now() {
+                    return (Scores::nothing(), Vec::new());
+                }
+                self.score_block::<BOUND>(channel, scope, step, block, scratch)
+            };
+            let work = offsets.len() * self.samples * scope.levels.len() * scope.nodes.len();
+            let (blocks, nodes): (Vec<Scores>, Vec<Vec<[f64; LEVELS]>>) = if work < PARALLEL {
+                let mut scratch = Scratch::default();
+                cells.chunks(LANES).map(|block| one(&mut scratch, block)).unzip()
+            } else {
+                let width = 8_usize.div_ceil(scope.nodes.len());
+                cells.par_chunks(LANES).with_min_len(width).map_init(Scratch::default, one).unzip()
+            };
+            let mut best_of_node = vec![[f64::NEG_INFINITY; LEVELS]; scope.nodes.len()];
+            for block in &nodes {
+                for (best, of_block) in best_of_node.iter_mut().zip(block) {
+                    for (best, log) in best.iter_mut().zip(of_block) {
+                        *best = best.max(*log);
+                    }
+                }
+            }
+            Scored { blocks, best_of_node }
+        };
+        self.channels.iter().zip(scopes).map(score).collect()
+    }
+
+    /// One block, its nodes added up; and the best of each node.
+    fn score_block<const BOUND: bool>(
+        &self,
+        channel: &Prepared,
+        scope: &Scope,
+        step: [f64; 2],
+        cells: &[[f64; 2]],
+        scratch: &mut Scratch,
+    ) -> (Scores, Vec<[f64; LEVELS]>) {
+        let mut sum: Option<Scores> = None;
+        let mut best = Vec::new();
+        for &node in &scope.nodes {
+            let mut setup = self.setup(channel, node, step);
+            if BOUND {
+                setup.blur_m2 = [self.options.position_sigma_m.powi(2) as f32; 2];
+                if scope.cover {
+                    // The first level is about the surface that was named; the bends in its reach stand for the others.
+                    setup.cover = COVER;
+                }
+            }
+            let mut scores = kernel::score::<BOUND>(&setup, cells, scope.levels.clone(), scratch);
+            if self.nuisance.nodes.len() > 1 {
+                scores.weigh(self.nuisance.nodes[node].log_weight);
+                best.push(scores.best());
+            }
+            match &mut sum {
+                None => sum = Some(scores),
+                Some(sum) => sum.add(&scores),
+            }
+        }
+        (sum.unwrap_or_else(Scores::nothing), best)
+    }
+
+    /// The node at which this offset is the most likely, given an error level.
+    pub fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
+        let nodes = self.nuisance.nodes.len();
+        if nodes == 1 {
+            return 0;
+        }
+        let scope = Scope { levels: level..level + 1, cover: false, nodes: (0..nodes).collect() };
+        let (_, best) =
+            self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut Scratch::default());
+        (1..nodes).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
+    }
+}
