@@ -74,6 +74,19 @@ POSTERIOR = [
 ]
 
 
+#: The same of `navigation/navigator`.
+NAVIGATOR = [
+    ["ins", "motion", "states", "outcome", "integrity", "doubt"],
+    ["plan", "options", "law", "batch", "filter", "smooth", "watch"],
+    ["state"],
+    ["carry", "judge", "measure", "correct", "matcher"],
+    ["step", "bound", "particles", "flight"],
+]
+#: Folders whose own file only says what is in them, and the floors inside.
+SPLIT = ("patch", "kernel", "problem", "streaming")
+FLOORED = {"matching/posterior": POSTERIOR, "navigation/navigator": NAVIGATOR}
+
+
 def reached(text, prefix):
     """First names after a path, also those in the braces of a `use`: `super::{a::b, c}` reaches a and c."""
     found = set(re.findall(rf"(?<!super::){prefix}(?!super\b)(\w+)", text))
@@ -119,6 +132,8 @@ def siblings(folder):
         "matching/posterior/kernel",
         "matching/posterior/problem",
         "matching/posterior/streaming",
+        "navigation",
+        "navigation/navigator",
         "kalman",
         "lattice",
         "grid",
@@ -147,23 +162,23 @@ def test_arrows_go_down_inside_matching():
         assert any(all(re.search(rf"\b{module}\b", line) for module in floor) for line in page.splitlines()), floor
 
 
-def test_arrows_go_down_inside_the_posterior():
-    order = {name: k for k, name in enumerate(name for floor in POSTERIOR for name in floor)}
-    uses = siblings(CORE / "matching" / "posterior")
-    assert set(uses) == set(order), "name a new module in POSTERIOR and in docs/architecture.md"
-    for name, others in uses.items():
+@pytest.mark.parametrize("name", FLOORED)
+def test_arrows_go_down_inside_a_folder_with_floors(name):
+    order = {module: k for k, module in enumerate(module for floor in FLOORED[name] for module in floor)}
+    uses = siblings(CORE / name)
+    assert set(uses) == set(order), "name a new module in the floors above and in docs/architecture.md"
+    for module, others in uses.items():
         for other in others:
-            assert order[other] < order[name], f"posterior/{name} uses {other}, which does not lie below it"
+            assert order[other] < order[module], f"{name}/{module} uses {other}, which does not lie below it"
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    for floor in POSTERIOR:
-        assert re.search(rf"^{' '.join(floor)}\b", page, re.M), f"docs/architecture.md does not show {floor}"
+    for floor in FLOORED[name]:
+        assert re.search(rf"^{' '.join(floor)} ", page, re.M), f"docs/architecture.md does not show {floor}"
 
 
-@pytest.mark.parametrize("name", ["patch", "kernel", "problem", "streaming", ""])
-def test_the_parts_of_the_posterior_take_nothing_from_the_folder_they_stand_in(name):
-    folder = CORE / "matching" / "posterior" / name
-    # A folder's own file only says what is in it: what its parts share stands in one of them.
-    text = without_tests_and_comments((folder / "mod.rs").read_text(encoding="utf-8"))
+@pytest.mark.parametrize("name", [*FLOORED, *(f"matching/posterior/{n}" for n in SPLIT)])
+def test_the_parts_of_a_folder_take_nothing_from_its_own_file(name):
+    # It only says what is in it: what its parts share stands in one of them.
+    text = without_tests_and_comments((CORE / name / "mod.rs").read_text(encoding="utf-8"))
     assert not re.search(r"^\s*(?:pub\S* )?(?:fn|struct|enum|impl|const|trait)\b", text, re.M)
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import geomag
 import geomag.synthetic
+from geomag._geomag import MainFieldModel
 from geomag.compensation import Compensator
 
 X = np.arange(0.0, 4000.0, 50.0)
@@ -130,6 +131,28 @@ OBJECTS = {
         (0.0, 0.0), course_deg=30.0, speed_m_s=10.0, interval_s=1.0, samples=5
     ),
     "SyntheticField": lambda: geomag.synthetic.Crust(waves=4, dipoles=2).draw((0.0, 0.0, 1e4, 1e4), seed=1),
+}
+
+
+NORTH, EAST = (a.ravel() for a in np.meshgrid(*[np.linspace(-5e3, 5e3, 11)] * 2))
+MODEL = geomag.RectangularHarmonicModel.fit(
+    NORTH, EAST, 0.0, np.stack([np.sin(NORTH / 1e3), np.cos(EAST / 700), np.sin(EAST / 700)], -1), order=4
+)
+
+#: Objects that are saved as what they were made of: a text or arguments, for the constructor's own checks to judge.
+BY_VALUE = {
+    "GridMap": lambda: geomag.GridMap(np.arange(12.0).reshape(3, 4), [0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0], sigma=2.0),
+    "MapStack": lambda: geomag.MapStack(
+        [geomag.GridMap(np.ones((2, 2)), [0.0, 1.0], [0.0, 1.0], height_m=h) for h in (0.0, 50.0)]
+    ),
+    "Track": lambda: geomag.Track([0.0, 1.0, 2.0], [5.0, 6.0, 7.0], [1.0, 2.0, 3.0], time_s=[0.0, 1.0, 2.0]),
+    "LocalFrame": lambda: geomag.LocalFrame(49.0, -100.0, 200.0),
+    "RectangularHarmonicModel": lambda: MODEL,
+    "HarmonicMap": lambda: MODEL.to_map("down", down_m=-100.0),
+    "MainFieldModel": lambda: MainFieldModel([2020.0, 2025.0], np.ones((2, 3)), np.zeros((2, 3)), degree=1),
+    "InsModel": geomag.InsModel.tactical,
+    "MatcherPlan": geomag.MatcherPlan,
+    "FieldSensor": lambda: geomag.FieldSensor(GRID),
 }
 
 
@@ -315,3 +338,73 @@ def test_a_field_that_ends_does_not_cost_the_matcher_its_place():
             refused += 1
         assert repr(calm.update(x - 150, y + 90, value)) == repr(shaken.update(x - 150, y + 90, value))
     assert refused == 1
+
+
+def test_every_saved_type_is_in_the_battery():
+    module = geomag._geomag
+    saved = {
+        name
+        for name in dir(module)
+        if isinstance(getattr(module, name), type) and "__reduce__" in vars(getattr(module, name))
+    }
+    assert saved == {*STREAMS, *OBJECTS, *BY_VALUE}
+
+
+def parts(arguments):
+    """Every number, text and array in nested arguments, as paths to it."""
+    for k, item in arguments.items() if isinstance(arguments, dict) else enumerate(arguments):
+        if isinstance(item, (tuple, list, dict)):
+            yield from ((k, *path) for path in parts(item))
+        elif isinstance(item, (int, float, str, np.ndarray)) and not isinstance(item, bool):
+            yield (k,)
+
+
+def bent(arguments, path, with_what):
+    out = dict(arguments) if isinstance(arguments, dict) else list(arguments)
+    first, *rest = path
+    out[first] = bent(out[first], rest, with_what) if rest else with_what(out[first])
+    return type(arguments)(out)
+
+
+def broken(item, how):
+    """A number, text or array of an object's arguments that is not what it was."""
+    if isinstance(item, str):
+        at = how % max(len(item), 1)
+        return item[:at] + "9e-"[how % 3] + item[at + 1 + how % 2 :]
+    wild = [np.nan, np.inf, -np.inf, -1.0, 0.0, 1e300, 1e-300, 3.0][how % 8]
+    if isinstance(item, np.ndarray):
+        if how % 3 == 0:
+            return item[..., :-1] if item.ndim else item
+        with np.errstate(over="ignore"):
+            changed = item.copy()
+        changed.flat[how % changed.size] = wild
+        return changed
+    return type(item)(wild) if np.isfinite(wild) and abs(wild) < 1e9 else wild
+
+
+@pytest.mark.parametrize("name", BY_VALUE)
+def test_any_value_is_refused_or_makes_a_valid_object(name):
+    whole = BY_VALUE[name]()
+    assert repr(pickle.loads(pickle.dumps(whole))) == repr(whole)
+    restore, arguments = whole.__reduce__()[:2]
+    assert pickle.dumps(restore(*arguments).__reduce__()[1]) == pickle.dumps(arguments)
+    paths = list(parts(arguments))
+    assert paths or name == "MapStack"
+
+    @settings(max_examples=60, deadline=None, database=None, derandomize=True)
+    @given(st.integers(0, max(len(paths) - 1, 0)), st.integers(0, 10_000))
+    def check(which, how):
+        if not paths:
+            return
+        try:
+            other = restore(*bent(arguments, paths[which], lambda item: broken(item, how)))
+        except (geomag.GeomagError, TypeError, ValueError, OverflowError):
+            return
+        repr(other)
+        for attribute in dir(other):
+            if not attribute.startswith("_"):
+                with contextlib.suppress(geomag.GeomagError):
+                    getattr(other, attribute)
+        pickle.loads(pickle.dumps(other))
+
+    check()

@@ -7,6 +7,7 @@
 pub mod error_state;
 mod estimate;
 mod extended;
+pub(crate) mod regression;
 mod unscented;
 
 pub(crate) use estimate::square as symmetric;

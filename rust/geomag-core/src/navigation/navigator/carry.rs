@@ -2,7 +2,8 @@
 
 use super::motion::{ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, Rows, TILT, VELOCITY, rates, transition};
 use super::outcome::Inputs;
-use super::{BIAS, Navigator, Newest, REGISTRATION};
+use super::state::{Navigator, Newest};
+use super::states::{BIAS, REGISTRATION};
 
 /// Longest time over which the errors are carried on at once, seconds.
 const LONGEST_STEP_S: f64 = 5.0;

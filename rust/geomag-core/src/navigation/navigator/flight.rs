@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use super::Navigator;
 use super::options::{Method, NavigatorOptions};
 use super::outcome::{Indicated, Inputs, NavigatorStep};
 use super::particles::Particles;
 use super::smooth::Record;
+use super::state::Navigator;
 use crate::error::{Error, Result, require_not_negative};
 use crate::field::Field;
 use crate::monitor::Monitor;

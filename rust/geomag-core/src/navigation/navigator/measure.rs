@@ -1,12 +1,13 @@
 //! Taking readings in: gathered, weighed, linearised, used.
 
 use super::batch::Reading;
-use super::linear;
 use super::motion::{POSITION, VELOCITY};
-use super::outcome::Outcome;
+use super::outcome::{Indicated, Outcome};
+use super::state::{Navigator, Newest};
+use super::states::{BIAS, REGISTRATION, STATES};
 use super::watch::Sample;
-use super::{BIAS, Navigator, Newest, REGISTRATION, STATES};
 use crate::field::Field;
+use crate::kalman::regression;
 
 /// NIS of a single reading beyond which it is no word on the covariance, unless the one before was as bad.
 const STARTLING: f64 = 25.0;
@@ -14,6 +15,11 @@ const STARTLING: f64 = 25.0;
 const LEAST_LATTICE_CELLS: f64 = 0.05;
 
 impl Navigator {
+    /// What the map says at an indicated place; NaN where it says nothing.
+    pub(super) fn expected(&self, indicated: &Indicated) -> f64 {
+        value_at(self.field.as_ref(), self.field.wrap_x(indicated.x), indicated.y, indicated.height_m)
+    }
+
     /// Gathers a reading and uses the batch once it is full.
     pub(super) fn read(
         &mut self,
@@ -108,7 +114,9 @@ impl Navigator {
         let plane = if count == 0 {
             None
         } else {
-            linear::fit(covariance, |d| chosen.readings.iter().map(|(k, weight)| weight * at(&readings[*k], d)).sum())
+            regression::fit(covariance, |d| {
+                chosen.readings.iter().map(|(k, weight)| weight * at(&readings[*k], d)).sum()
+            })
         };
         let result = plane.map(|plane| {
             let [east, north] = plane.slope;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::ins::InsModel;
 use super::integrity::widening;
-use super::watch::MatcherPlan;
+use super::plan::MatcherPlan;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
 
 /// Which filter.

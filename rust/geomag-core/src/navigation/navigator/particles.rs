@@ -14,7 +14,8 @@ use super::measure::value_at;
 use super::motion::{COUPLED, INS_STATES, POSITION, Rows, TILT, VELOCITY};
 use super::options::NavigatorOptions;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
-use super::{BIAS, Navigator};
+use super::state::Navigator;
+use super::states::{BIAS, STATES};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::random::Random;
@@ -79,7 +80,7 @@ impl Particles {
         if let Some(before) = self.frame.state.newest {
             let mut pieces: Vec<(Rows, Vec<f64>, Vec<f64>)> = Vec::new();
             let heading = self.covariance[(TILT, TILT)];
-            self.frame.pieces(&before, &now, super::STATES, heading, |phi, factors, noise| {
+            self.frame.pieces(&before, &now, STATES, heading, |phi, factors, noise| {
                 pieces.push((*phi, factors.to_vec(), noise.to_vec()));
             });
             let gap = now.time_s - before.time_s;

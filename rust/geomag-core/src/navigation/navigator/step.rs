@@ -1,11 +1,10 @@
 //! One step: carry the errors on, take a reading in, say where the vehicle is.
 
-use super::integrity::axes;
-use super::measure::value_at;
 use super::motion::{POSITION, TILT, VELOCITY};
 use super::options::MOST_LATITUDE_DEG;
-use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
-use super::{BIAS, Navigator, Newest, REGISTRATION};
+use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome};
+use super::state::{Navigator, Newest};
+use super::states::{BIAS, REGISTRATION};
 use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
 
@@ -13,12 +12,6 @@ use crate::error::{Error, Result, require_finite};
 const LONGEST_GAP_S: f64 = 86_400.0;
 /// Fastest vehicle, metres a second.
 const FASTEST_M_S: f64 = 1e4;
-/// Time without a usable reading after which the navigator coasts, seconds.
-const COASTING_S: f64 = 60.0;
-/// Position sigma, in ranges over which the field is straight, beyond which the navigator is lost, and below which it is found again.
-const LOST: f64 = 4.0;
-const FOUND: f64 = 2.0;
-
 impl Navigator {
     /// Goes on to what the INS indicates now, and takes in a reading where there is one.
     ///
@@ -130,81 +123,6 @@ impl Navigator {
             self.state.filter.separate(REGISTRATION + axis, self.law.registration_m(distance).powi(2));
         }
         self.state.heard_s = Some(now.time_s);
-    }
-
-    /// Map units per metre at a latitude.
-    pub(super) fn per_metre(&self, y: f64) -> [f64; 2] {
-        self.field.metres_per_unit(y).map(|m| 1.0 / m)
-    }
-
-    /// The place that a position error of the INS leaves, map units.
-    pub(super) fn corrected(&self, x: f64, y: f64, error_m: [f64; 2]) -> [f64; 2] {
-        let [_, north] = self.per_metre(y);
-        let truer = y - error_m[1] * north;
-        let [east, north] = self.per_metre(0.5 * (y + truer));
-        [x - error_m[0] * east, y - error_m[1] * north]
-    }
-
-    /// What the map says at an indicated place; NaN where it says nothing.
-    pub(super) fn expected(&self, indicated: &Indicated) -> f64 {
-        value_at(self.field.as_ref(), self.field.wrap_x(indicated.x), indicated.y, indicated.height_m)
-    }
-
-    /// Writes down a measurement that is about to be used, for smoothing.
-    pub(super) fn note_measurement(&mut self, slopes: &[(usize, f64)], variance: f64, innovation: f64) {
-        if let Some(record) = &mut self.record {
-            record.measured(slopes, &self.scratch.cross, innovation, variance);
-        }
-    }
-
-    /// Writes down that position and bias are about to be replaced.
-    pub(super) fn note_reset(&mut self) {
-        if let Some(record) = &mut self.record {
-            record.replaced(&[POSITION, POSITION + 1, BIAS]);
-        }
-    }
-
-    /// Sets the status after a correction between two steps.
-    pub(super) fn judge_again(&mut self) {
-        if let Some(now) = self.state.newest {
-            self.judge(&now, Outcome::Waiting);
-        }
-    }
-
-    /// Sets the status.
-    fn judge(&mut self, now: &Newest, outcome: Outcome) {
-        let sigma = axes(self.reported_m2())[0];
-        let range = self.law.linear_m;
-        let was_lost = self.state.status == Status::Lost;
-        let silent = self.state.heard_s.is_none_or(|t| now.time_s - t > COASTING_S);
-        let limit = if !self.state.tracked {
-            range
-        } else if was_lost {
-            FOUND * range
-        } else {
-            LOST * range
-        };
-        (self.state.status, self.state.reason) = if sigma > limit {
-            if self.state.tracked {
-                (Status::Lost, Reason::Uncertain)
-            } else {
-                (Status::Acquiring, Reason::StartUncertain)
-            }
-        } else if silent {
-            let reason = match (self.state.off_map, self.state.is_stuck) {
-                (true, _) => Reason::OffMap,
-                (false, true) => Reason::StuckSensor,
-                (false, false) => Reason::NoReading,
-            };
-            (Status::Coasting, reason)
-        } else if self.state.is_stuck {
-            (Status::Coasting, Reason::StuckSensor)
-        } else if outcome == Outcome::OffMap {
-            (Status::Coasting, Reason::OffMap)
-        } else {
-            self.state.tracked = true;
-            (Status::Tracking, Reason::Readings)
-        };
     }
 
     fn answer(&self, outcome: Outcome, nis: Option<f64>) -> NavigatorStep {

@@ -4,10 +4,13 @@ use std::sync::Arc;
 
 use approx::assert_relative_eq;
 
+use super::filter::Filter;
 use super::motion::{
     ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, POSITION, Rows, TILT, VELOCITY, rates, transition,
 };
+use super::states::*;
 use super::*;
+use crate::field::Field;
 use crate::grid::{GridMap, GridValues, Interpolation, MapSigma};
 use crate::map_error::{DistanceLayer, MapErrorModel};
 use crate::monitor::Quiet;

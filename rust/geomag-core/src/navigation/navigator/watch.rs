@@ -1,92 +1,8 @@
-//! The matcher beside the filter: a start known to kilometres, a lock that was lost, and a look round now and then.
-//!
-//! A filter follows one hypothesis. Where the position is known less well than the field is straight, the posterior over a window of
-//! the newest readings says whether there is another; its fix is a measurement only while the filter is lost, for otherwise the same
-//! readings would count twice, and a test while it tracks.
+//! The newest readings, kept for the matcher beside the filter, and when it was asked.
 
 use serde::{Deserialize, Serialize};
 
-use super::Navigator;
-use super::Newest;
-use super::correct::CONTRADICTION;
-use super::integrity::axes;
-use super::motion::{POSITION, VELOCITY};
-use super::outcome::Status;
-use crate::error::{Result, require_count, require_not_negative, require_positive};
-use crate::fix::Fix;
-use crate::matching::posterior::{PosteriorOptions, match_posterior};
-use crate::track::Track;
-
-/// Half width of the search in standard deviations of the position, axis by axis.
-const HALF_WIDTH_SIGMAS: f64 = 3.5;
-/// A fix's covariance counts so many times, and a share of the tolerance is added to each axis: windows overlap with what the filter
-/// has used, and errors of the map are common to both.
-const COVARIANCE_FACTOR: f64 = 2.5;
-const TOLERANCE_SHARE: f64 = 0.15;
-/// Running NIS above which the filter is in doubt.
-const ALARM: f64 = 3.0;
-/// Bending of the window by the velocity error, in tolerances, up to which it is left out of the match, and up to which it is put in.
-const STRAIGHT: f64 = 0.1;
-const MOST_BENDING: f64 = 5.0;
-/// Fewest samples of a window.
-const FEWEST: usize = 10;
-/// Most samples of a window.
-const MOST: usize = 256;
-
-/// When and how the matcher is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct MatcherPlan {
-    /// Time between two tries while the position is uncertain or in doubt, seconds.
-    pub every_s: f64,
-    /// Time between two looks round while the filter tracks, seconds; infinite for none.
-    pub wide_every_s: f64,
-    /// Samples of a window.
-    pub samples: usize,
-    /// Distance between them, metres; `None` asks the map.
-    pub spacing_m: Option<f64>,
-    /// Tolerance of a fix, metres; `None` asks the map.
-    pub tolerance_m: Option<f64>,
-    /// Greatest declared risk of a fix that is used.
-    pub max_risk: f64,
-    /// Greatest half width of a search, metres.
-    pub reach_m: f64,
-}
-
-impl Default for MatcherPlan {
-    fn default() -> Self {
-        Self {
-            every_s: 60.0,
-            wide_every_s: 600.0,
-            samples: 40,
-            spacing_m: None,
-            tolerance_m: None,
-            max_risk: 0.01,
-            reach_m: 40_000.0,
-        }
-    }
-}
-
-impl MatcherPlan {
-    /// Checks the ranges of the numbers.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`](crate::error::Error::Invalid) naming the first out of range.
-    pub fn validate(&self) -> Result<()> {
-        require_positive("matcher every_s", self.every_s)?;
-        if self.wide_every_s != f64::INFINITY {
-            require_positive("matcher wide_every_s", self.wide_every_s)?;
-        }
-        require_count("matcher samples", self.samples, MOST)?;
-        for (name, value) in [("matcher spacing_m", self.spacing_m), ("matcher tolerance_m", self.tolerance_m)] {
-            if let Some(value) = value {
-                require_positive(name, value)?;
-            }
-        }
-        require_not_negative("matcher max_risk", self.max_risk)?;
-        require_positive("matcher reach_m", self.reach_m)?;
-        Ok(())
-    }
-}
+use super::plan::MOST;
 
 /// One sample of the window.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -101,12 +17,12 @@ pub(super) struct Sample {
 /// The newest readings, and when the matcher was asked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Watch {
-    samples: Vec<Sample>,
+    pub samples: Vec<Sample>,
     /// Way since the newest of them, metres.
     pub since_m: f64,
-    tried_s: Option<f64>,
-    looked_s: Option<f64>,
-    contradictions: u32,
+    pub tried_s: Option<f64>,
+    pub looked_s: Option<f64>,
+    pub contradictions: u32,
 }
 
 impl Watch {
@@ -133,111 +49,5 @@ impl Watch {
         }
         self.samples.push(sample);
         self.since_m = 0.0;
-    }
-}
-
-/// What the matcher was asked for and what it said.
-pub(super) struct Asked {
-    pub fix: Fix,
-    pub tolerance_m: f64,
-}
-
-impl Navigator {
-    /// Asks the matcher where it is time to, and draws the consequences.
-    pub(super) fn watch(&mut self, now: &Newest) {
-        let Some(plan) = self.state.options.matcher else { return };
-        let own = axes(self.own_m2())[0];
-        let lost = own > self.law.linear_m;
-        let alarm = self.state.running.value() > ALARM;
-        let since = |t: Option<f64>| t.map_or(f64::INFINITY, |t| now.time_s - t);
-        let look_round = since(self.state.watch.looked_s) >= plan.wide_every_s;
-        if since(self.state.watch.tried_s) < plan.every_s || !(lost || alarm || look_round) {
-            return;
-        }
-        let Some(track) = self.window(&plan, now) else { return };
-        self.state.watch.tried_s = Some(now.time_s);
-        self.state.watch.looked_s = Some(now.time_s);
-        let Some(asked) = self.ask(&plan, &track) else { return };
-        self.draw_consequences(now, &asked, lost, alarm);
-    }
-
-    /// The newest samples where the filter thinks they were read, as many as the velocity error allows.
-    fn window(&self, plan: &MatcherPlan, now: &Newest) -> Option<Track> {
-        let samples = &self.state.watch.samples;
-        let speed_sigma = self.velocity_sigma();
-        let longest_s = MOST_BENDING * self.tolerance_m(plan) / speed_sigma.max(1e-9);
-        let newest = samples.last()?;
-        let first = samples.iter().position(|s| newest.time_s - s.time_s <= longest_s)?;
-        let window = &samples[first..];
-        if window.len() < FEWEST.min(plan.samples) {
-            return None;
-        }
-        let mean = self.state.filter.mean();
-        let place = |s: &Sample| {
-            let age = now.time_s - s.time_s;
-            self.corrected(s.x, s.y, [0, 1].map(|axis| mean[POSITION + axis] - mean[VELOCITY + axis] * age))
-        };
-        let (x, y): (Vec<f64>, Vec<f64>) = window.iter().map(place).map(|[x, y]| (x, y)).unzip();
-        let values = window.iter().map(|s| s.value).collect();
-        let times = window.iter().map(|s| s.time_s).collect();
-        let heights: Option<Vec<f64>> = window.iter().map(|s| s.height_m).collect();
-        Track::new(x, y, values, Some(times)).and_then(|t| t.with_height(heights)).ok()
-    }
-
-    fn velocity_sigma(&self) -> f64 {
-        let f = &self.state.filter;
-        (0.5 * (f.at(VELOCITY, VELOCITY) + f.at(VELOCITY + 1, VELOCITY + 1))).sqrt()
-    }
-
-    fn tolerance_m(&self, plan: &MatcherPlan) -> f64 {
-        plan.tolerance_m.unwrap_or(0.7 * self.law.linear_m)
-    }
-
-    fn ask(&self, plan: &MatcherPlan, track: &Track) -> Option<Asked> {
-        let tolerance_m = self.tolerance_m(plan);
-        let own = self.own_m2();
-        let [east, north] = self.field.metres_per_unit(track.newest()[1]);
-        let factor = self.state.running.factor();
-        let half = |variance: f64| {
-            (HALF_WIDTH_SIGMAS * (factor * variance).sqrt())
-                .clamp(2.0 * tolerance_m, plan.reach_m.max(2.0 * tolerance_m))
-        };
-        let half_width = [half(own[0][0]) / east, half(own[1][1]) / north];
-        let times = track.time_s()?;
-        let bending = self.velocity_sigma() * (times[times.len() - 1] - times[0]);
-        let options = PosteriorOptions {
-            tolerance_m: Some(tolerance_m),
-            max_risk: plan.max_risk,
-            drift_sigma_m: if bending > STRAIGHT * tolerance_m { bending } else { 0.0 },
-            ..PosteriorOptions::new(half_width)
-        };
-        let sigma = self.state.options.reading_sigma;
-        let fix = match_posterior(self.field.as_ref(), track, (sigma > 0.0).then_some(sigma), &options).ok()?;
-        (fix.ok() && fix.covariance_m2.is_some()).then_some(Asked { fix, tolerance_m })
-    }
-
-    fn draw_consequences(&mut self, now: &Newest, asked: &Asked, lost: bool, alarm: bool) {
-        let Some(covariance) = asked.fix.covariance_m2 else { return };
-        let share = 2.0 * (TOLERANCE_SHARE * asked.tolerance_m).powi(2);
-        let covariance: [[f64; 2]; 2] = std::array::from_fn(|i| {
-            std::array::from_fn(|j| COVARIANCE_FACTOR * covariance[i][j] + if i == j { share } else { 0.0 })
-        });
-        let mean = self.state.filter.mean();
-        let error = [0, 1].map(|axis| mean[POSITION + axis] - asked.fix.offset_m[axis]);
-        let nis = self.position_nis(error, covariance);
-        if nis > CONTRADICTION {
-            self.state.watch.contradictions += 1;
-            if self.state.watch.contradictions >= 2 || alarm || self.state.status == Status::Lost {
-                self.state.watch.contradictions = 0;
-                self.state.last_fix_s = Some(now.time_s);
-                self.start_again(error, covariance);
-            }
-            return;
-        }
-        self.state.watch.contradictions = 0;
-        if lost {
-            self.state.last_fix_s = Some(now.time_s);
-            self.take_pair(POSITION, error, covariance);
-        }
     }
 }

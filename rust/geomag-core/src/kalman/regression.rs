@@ -19,7 +19,7 @@ const LEAST_ON_MAP: f64 = 0.7;
 
 /// A plane fitted to a function of two coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Plane {
+pub(crate) struct Plane {
     /// Mean of the function.
     pub mean: f64,
     /// Slopes.
@@ -29,7 +29,7 @@ pub(super) struct Plane {
 }
 
 /// The plane of `function` over a normal law about zero with this covariance; `None` where too much of it is unknown (NaN).
-pub(super) fn fit(covariance: [[f64; 2]; 2], function: impl Fn([f64; 2]) -> f64) -> Option<Plane> {
+pub(crate) fn fit(covariance: [[f64; 2]; 2], function: impl Fn([f64; 2]) -> f64) -> Option<Plane> {
     // L L' = C.
     let l00 = covariance[0][0].sqrt();
     let l10 = covariance[1][0] / l00;
