@@ -19,6 +19,7 @@ bias that walks).
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,6 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geomag._errors import InvalidInputError, MissingFileError, ReadError, ShapeError, TooFewSamplesError
+from geomag.io._numbers import number, plain
 from geomag.mainfield import _microseconds
 
 if TYPE_CHECKING:
@@ -37,6 +39,8 @@ _EARTH_M = 6_371_200.0
 #: From here on a value of IAGA-2002 says that there is none: 99999.00 missing, 88888.00 not recorded.
 _IAGA_NONE = 88_888.0
 _HOUR_US = 3.6e9
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
+_CLOCK = re.compile(r"\d{2}:\d{2}:\d{2}(\.\d{1,9})?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -148,8 +152,11 @@ def read_iaga2002(path: str | Path) -> IagaRecord:
         if not words:
             continue
         try:
+            # The converters of Python and NumPy take more than the format has: `1_0`, zones, dates without a day.
+            if not (_DAY.fullmatch(words[0]) and _CLOCK.fullmatch(words[1])):
+                raise ValueError(line)
             times.append(np.datetime64(f"{words[0]}T{words[1]}", "ms"))
-            values = [float(w) for w in words[3:]]
+            values = [plain(w) for w in words[3:]]
         except (ValueError, IndexError) as error:
             raise ReadError(f"{path}, line {k}: needed date, time, day and values, got {line[:70]!r}") from error
         if len(values) != len(names):
@@ -162,11 +169,11 @@ def read_iaga2002(path: str | Path) -> IagaRecord:
     places = []
     for name in ("Geodetic Latitude", "Geodetic Longitude"):
         try:
-            places.append(float(header[name]))
+            places.append(number(header[name]))
         except (KeyError, ValueError) as error:
             raise ReadError(f"{path}: needed a number as {name}, got {header.get(name)!r}") from error
     try:
-        height = float(header.get("Elevation", "nan") or "nan")
+        height = number(header.get("Elevation", ""))
     except ValueError:
         height = math.nan
     time = np.array(times)

@@ -8,20 +8,22 @@ from pathlib import Path
 from geomag._errors import InvalidInputError, ReadError, UnknownVariableError
 from geomag._geomag import GridMap
 from geomag._optional import require
+from geomag.io._classic import check_classic
 from geomag.io._gxf import read_gxf
-from geomag.io._headed import looks_like_esri, looks_like_gdf, read_esri, read_gdf
+from geomag.io._headed import looks_like_esri, looks_like_gdf, read_esri, read_gdf, read_surfer_text
 from geomag.io._kept import MARK
 from geomag.io._magnav import is_magnav_map, read_magnav_map
 from geomag.io._make import make_map
 from geomag.io._netcdf import grid_to_xarray, read_netcdf
 from geomag.io._points import lattice
-from geomag.io._raster import ask_kind, looks_like_oasis, read_oasis, read_raster
+from geomag.io._raster import looks_like_oasis, read_oasis, read_raster
 from geomag.io._tables import load_table
 from geomag.io._text import Table, decoded, existing, parse, plain_bytes
 from geomag.io._tracks import points_of
+from geomag.io._units import ask_kind
 
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_SURFER = (b"DSAA", b"DSBB", b"DSRB")
+_SURFER = (b"DSBB", b"DSRB")
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00", b"PK\x03\x04")
 
 
@@ -83,6 +85,8 @@ def read_grid(
     if head[:3] == b"CDF" or head[:4] == b"\x89HDF":
         if columns is not None:
             raise InvalidInputError(f"columns: needed none for netCDF, which has variables, got {columns}")
+        if head[:3] == b"CDF":
+            check_classic(path)
         if head[:4] == b"\x89HDF" and is_magnav_map(path):
             return read_magnav_map(path, geographic, sigma)
         return read_netcdf(path, variable, geographic, sigma, x, y)
@@ -108,6 +112,8 @@ def read_grid(
     text = decoded(plain_bytes(path.read_bytes(), str(path)), str(path))
     if path.suffix.lower() == ".gxf" or "#GRID" in text or "#POINTS" in text[:2000]:
         return read_gxf(path, text, geographic, constant)
+    if text.lstrip()[:4] == "DSAA":
+        return read_surfer_text(path, text, geographic, constant)
     if looks_like_esri(text):
         return read_esri(path, text, geographic, constant)
     if looks_like_gdf(text):

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError, ReadError
 from geomag._geomag import GridMap
-from geomag.io._make import make_map
+from geomag.io._make import MOST, make_map
+from geomag.io._numbers import plain
 from geomag.io._units import METRES, crs_metres, crs_of, is_degree, metric_text, same_kind, tidy
 
 #: Corner of the first point (right, top) and whether a row runs along x, by `#SENSE`.
 _SENSES = {1: (0, 0, True), -1: (0, 0, False), 2: (0, 1, False), -2: (0, 1, True),
            3: (1, 1, True), -3: (1, 1, False), 4: (1, 0, False), -4: (1, 0, True)}  # fmt: skip
-_MOST = 400_000_000
 
 
 def _sections(text: str) -> tuple[dict[str, list[str]], list[str]]:
@@ -46,7 +46,7 @@ def _numbers(found: dict[str, list[str]], key: str, default: str | None, count: 
     if not text:
         raise ReadError(f"needed '#{key}' in the header, got none")
     try:
-        out = [float(v) for v in re.split(r"[,\s]+", text[0].strip()) if v][:count]
+        out = [plain(v) for v in re.split(r"[,\s]+", text[0].strip()) if v][:count]
     except ValueError:
         raise ReadError(f"needed numbers under '#{key}', got {text[0]!r}") from None
     if len(out) < count or not np.isfinite(out).all():
@@ -90,7 +90,7 @@ def _plain(lines: list[str], total: int, dummy: float | None) -> NDArray[np.floa
     if len(words) != total:
         raise ReadError(f"needed {total} values in the grid, got {len(words)}")
     try:
-        out = np.array([float("nan") if w == "*" else float(w) for w in words])
+        out = np.array([float("nan") if w == "*" else plain(w) for w in words])
     except ValueError as error:
         raise ReadError(f"needed numbers in the grid, got {error}") from error
     if dummy is not None:
@@ -111,8 +111,8 @@ def read_gxf(path: Path, text: str, geographic: bool | None, sigma: float | None
 def _read(path: Path, text: str, geographic: bool | None, sigma: float | None) -> GridMap:
     found, lines = _sections(text)
     (points,), (rows,) = _numbers(found, "POIN", None), _numbers(found, "ROWS", None)
-    if not (points == int(points) >= 2 and rows == int(rows) >= 2 and points * rows <= _MOST):
-        raise ReadError(f"needed 2 to {_MOST} points in rows, got {points:g} x {rows:g}")
+    if not (points == int(points) >= 2 and rows == int(rows) >= 2 and points * rows <= MOST):
+        raise ReadError(f"needed 2 to {MOST} points in rows, got {points:g} x {rows:g}")
     columns_, rows_ = int(points), int(rows)
     if _numbers(found, "ROTA", "0")[0] != 0.0:
         raise InvalidInputError(
@@ -173,7 +173,7 @@ def _coordinates_of(found: dict[str, list[str]], where: str) -> tuple[bool | Non
         elif size.strip() or tidy(name) in METRES:
             said = False
             try:
-                factor = float(size.split(",")[0]) if size.strip() else METRES[tidy(name)]
+                factor = plain(size.split(",")[0].strip()) if size.strip() else METRES[tidy(name)]
             except ValueError:
                 raise ReadError(f"needed a size of the unit under '#UNIT_LENGTH', got {unit[0]!r}") from None
             if not (np.isfinite(factor) and factor > 0):

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from geomag._errors import InvalidInputError, ReadError
 from geomag._geomag import GridMap
-from geomag.io._make import make_map
-from geomag.io._numbers import number
+from geomag.io._make import MOST, make_map
+from geomag.io._numbers import number, plain, whole
 from geomag.io._points import lattice
-from geomag.io._units import check_degrees, crs_metres, crs_of, field_unit, metric_text, same_kind
-
-_MOST = 400_000_000
+from geomag.io._units import ask_kind, check_degrees, crs_metres, crs_of, field_unit, metric_text, same_kind
 
 
 def looks_like_esri(text: str) -> bool:
@@ -30,7 +29,7 @@ def read_esri(path: Path, text: str, geographic: bool | None, sigma: float | Non
     at = 0
     while at + 1 < len(words) and words[at][:1].isalpha() and words[at].lower() not in ("nan", "inf", "null"):
         try:
-            header[words[at].lower()] = float(words[at + 1])
+            header[words[at].lower()] = number(words[at + 1], comma=True)
         except ValueError:
             raise ReadError(f"{where}: needed a number after '{words[at]}', got {words[at + 1]!r}") from None
         at += 2
@@ -41,8 +40,8 @@ def read_esri(path: Path, text: str, geographic: bool | None, sigma: float | Non
         return header[key]
 
     columns, rows = told("ncols"), told("nrows")
-    if not (columns == int(columns) >= 2 and rows == int(rows) >= 2 and columns * rows <= _MOST):
-        raise ReadError(f"{where}: needed 2 to {_MOST} nodes, got {rows:g} x {columns:g}")
+    if not (columns == int(columns) >= 2 and rows == int(rows) >= 2 and columns * rows <= MOST):
+        raise ReadError(f"{where}: needed 2 to {MOST} nodes, got {rows:g} x {columns:g}")
     dx = header.get("dx") or told("cellsize")
     dy = header.get("dy") or told("cellsize")
     if not (np.isfinite([dx, dy]).all() and dx > 0 and dy > 0):
@@ -76,9 +75,37 @@ def read_esri(path: Path, text: str, geographic: bool | None, sigma: float | Non
     return make_map(values, x, y, geographic=geographic, sigma=sigma, name=path.stem, crs=crs, where=where)
 
 
+def read_surfer_text(path: Path, text: str, geographic: bool | None, sigma: float | None) -> GridMap:
+    """A map of a text grid of Surfer 6: columns and rows, least and greatest x, y and value, then the nodes from the lowest row up."""
+    where = str(path)
+    words = text.split()[1:]
+    try:
+        columns, rows = whole(words[0]), whole(words[1])
+        x0, x1, y0, y1 = (plain(w) for w in words[2:6])
+        values = np.array([number(w) for w in words[8:]])
+    except (ValueError, IndexError) as error:
+        raise ReadError(f"{where}: needed the numbers of a text grid of Surfer, got {error}") from error
+    if not (columns >= 2 and rows >= 2 and columns * rows <= MOST):
+        raise ReadError(f"{where}: needed 2 to {MOST} nodes, got {rows} x {columns}")
+    if len(values) != columns * rows:
+        raise ReadError(f"{where}: needed {columns * rows} values, got {len(values)}")
+    if not (x1 > x0 and y1 > y0):
+        raise ReadError(f"{where}: needed x and y that rise, got {x0:g} to {x1:g} and {y0:g} to {y1:g}")
+    if geographic is None:
+        raise ask_kind(where)
+    # Surfer writes 1.70141e+038 for what it leaves blank, and takes all beyond that for blank.
+    values = np.where(values >= 1.70141e38, np.nan, values)
+    if not np.isfinite(values).any():
+        raise ReadError(f"{where}: needed one value at least, got none")
+    x, y = np.linspace(x0, x1, columns), np.linspace(y0, y1, rows)
+    return make_map(
+        values.reshape(rows, columns), x, y, geographic=geographic, sigma=sigma, name=path.stem, where=where
+    )
+
+
 def looks_like_gdf(text: str) -> bool:
     """Whether a text has the header of an ICGEM grid."""
-    return "end_of_head" in text[:20_000]
+    return re.search(r"^end_of_head", text[:20_000], re.MULTILINE) is not None
 
 
 def read_gdf(path: Path, text: str, geographic: bool | None, sigma: float | None) -> GridMap:
@@ -103,7 +130,10 @@ def read_gdf(path: Path, text: str, geographic: bool | None, sigma: float | None
         raise ReadError(f"{where}: needed numbers, got {error}") from error
     values = data[:, -1]
     if "gapvalue" in header:
-        values = np.where(values == number(header["gapvalue"][0]), np.nan, values)
+        try:
+            values = np.where(values == plain(header["gapvalue"][0]), np.nan, values)
+        except ValueError:
+            raise ReadError(f"{where}: needed a number as gapvalue, got {header['gapvalue'][0]!r}") from None
     grid, x, y = lattice(data[:, 0], data[:, 1], values, where)
     for key, got in (("longitude_parallels", len(x)), ("latitude_parallels", len(y))):
         if key in header and header[key][0].isdigit() and int(header[key][0]) != got:

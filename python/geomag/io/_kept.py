@@ -104,6 +104,11 @@ def of_dataset(dataset: xr.Dataset, variable: str) -> dict[str, Any]:
     return kept if kept and _same_axes(kept, v) else {}
 
 
+def layers_of(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Variables of a file that hold the layers of a map that was kept in it."""
+    return list(_read(dataset[variable].attrs.get(MARK), f"variable '{variable}'").get("layers", {}).values())
+
+
 def _same_axes(kept: dict[str, Any], array: xr.DataArray) -> bool:
     """Whether an array lies on the axes that were kept."""
     if array.ndim != 2 or list(array.shape) != list(kept["shape"]):

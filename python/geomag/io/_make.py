@@ -11,6 +11,8 @@ from geomag._geomag import GridMap
 from geomag.io._numbers import without_dummies
 from geomag.io._units import field_unit
 
+#: Nodes that a map may have; a header that asks for more is damaged.
+MOST = 400_000_000
 #: Degrees of itself that a map of the whole circle goes on beyond either end, so that searches cross the seam.
 SEAM_DEG = 10.0
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from geomag._errors import ReadError
 from geomag.io._log_tables import Array, numbers_table
+from geomag.io._numbers import number, whole
 from geomag.io._text import Table
 
 #: Name, first column from 0, length, and what a unit of its last digit is.
@@ -43,7 +44,7 @@ def _field(line: str, first: int, length: int) -> float:
     # Nines stand for no value where they fill the field, but for a sign.
     if not text or (set(text.lstrip("+-")) <= {"9"} and len(text.lstrip("+-")) >= length - 1 and len(text) == length):
         return float("nan")
-    return float(int(text))
+    return float(whole(text))
 
 
 def _seconds(year: int, month: int, day: int, hours: float, zone_h: float) -> float:
@@ -53,21 +54,21 @@ def _seconds(year: int, month: int, day: int, hours: float, zone_h: float) -> fl
 def mgd77_table(text: str, where: str) -> Table:
     """Data records of an MGD77 file as a table; columns without any value are left out."""
     rows: list[list[float]] = []
-    for number, line in enumerate(text.split("\n"), start=1):
+    for row, line in enumerate(text.split("\n"), start=1):
         if line[:1] not in ("3", "5") or len(line.rstrip()) < 44 or not line[12:16].strip().isdigit():
             continue
         try:
             zone = _field(line, 9, 3)
             hour, minute = line[20:22].strip(), line[22:27].strip()
             nines = {"9"} >= set(hour) or {"9"} >= set(minute)
-            clock = float("nan") if nines else int(hour) + int(minute) / 60_000.0
+            clock = float("nan") if nines else whole(hour) + whole(minute) / 60_000.0
             stamp = _seconds(
-                int(line[12:16]), int(line[16:18]), int(line[18:20]), clock, 0.0 if np.isnan(zone) else zone
+                whole(line[12:16]), whole(line[16:18]), whole(line[18:20]), clock, 0.0 if np.isnan(zone) else zone
             )
             rows.append([stamp, *(_field(line, a, n) * f for _, a, n, f in _FIELDS)])
         except ValueError as error:
             raise ReadError(
-                f"{where}, line {number}: needed a data record of MGD77, got {line[:60]!r} ({error})"
+                f"{where}, line {row}: needed a data record of MGD77, got {line[:60]!r} ({error})"
             ) from error
     if not rows:
         raise ReadError(f"{where}: needed data records of MGD77, got none")
@@ -95,8 +96,8 @@ def m77t_table(table: Table, where: str) -> Table:
         zip(*(table.fields[names[k].index] for k in ("DATE", "TIME", "TIMEZONE")), strict=True)
     ):
         try:
-            hours = float(time[:2]) + float(time[2:]) / 60.0
-            stamps.append(_seconds(int(date[:4]), int(date[4:6]), int(date[6:8]), hours, float(zone or 0)))
+            hours = whole(time[:2]) + number(time[2:]) / 60.0
+            stamps.append(_seconds(whole(date[:4]), whole(date[4:6]), whole(date[6:8]), hours, number(zone or "0")))
         except ValueError as error:
             if date and time:
                 raise ReadError(

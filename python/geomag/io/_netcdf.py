@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._errors import DataWarning, InvalidInputError, ReadError, UnknownVariableError
+from geomag._errors import DataWarning, GeomagError, InvalidInputError, ReadError, UnknownVariableError
 from geomag._geomag import GridMap
 from geomag._optional import require
 from geomag.io import _kept
 from geomag.io._axes import find_axes, kind_of, mapping_crs
-from geomag.io._make import make_map
+from geomag.io._make import MOST, make_map
 from geomag.io._units import crs_metres, crs_of, metres_in, metric_text
 
 if TYPE_CHECKING:
@@ -28,34 +28,26 @@ def read_netcdf(
     xarray = require("xarray", "io", "reading netCDF")
     netcdf = require("netCDF4", "io", "reading netCDF")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            dataset = xarray.open_dataset(
+        with (
+            warnings.catch_warnings(),
+            xarray.open_dataset(
                 path, engine="netcdf4", mask_and_scale=False, decode_times=False, decode_coords=False, cache=False
-            )
-            dataset.load()
-            dataset.close()
+            ) as file,
+        ):
+            warnings.simplefilter("ignore")
+            old = "x_range" in file and "dimension" in file and "z" in file
+            variable = "z" if old else _asked(file, variable, sigma, path)
+            dataset = _needed(file, variable, sigma, old, path)
+    except GeomagError:
+        raise
     except Exception as error:  # the libraries underneath raise their own kinds
         raise ReadError(f"{path}: needed a readable netCDF file, got: {error}") from error
-    if "x_range" in dataset and "dimension" in dataset and "z" in dataset:
+    if old:
         return _old_gmt(dataset, path, geographic, sigma, netcdf.default_fillvals)
-    if variable is not None and variable not in dataset:
-        raise UnknownVariableError(f"{path}: needed a variable among {', '.join(_fields(dataset))}, got '{variable}'")
-    if variable is None:
-        candidates = [n for n in _fields(dataset) if n != sigma]
-        if len(candidates) != 1:
-            raise UnknownVariableError(
-                f"{path}: needed variable= for one of its fields, got none; it has {', '.join(_fields(dataset)) or 'no field'}"
-            )
-        variable = candidates[0]
     array = _decoded(dataset, variable, netcdf.default_fillvals, str(path))
     kept = _kept.of_dataset(dataset, variable)
     layer: Any = sigma
     if isinstance(sigma, str):
-        if sigma not in dataset:
-            raise UnknownVariableError(
-                f"{path}: needed a variable among {', '.join(_fields(dataset))} for sigma, got '{sigma}'"
-            )
         layer = _decoded(dataset, sigma, netcdf.default_fillvals, str(path))
     elif sigma is None and not kept:
         layer = _standard_error(dataset, variable, netcdf.default_fillvals, str(path))
@@ -67,6 +59,41 @@ def read_netcdf(
         crs = mapping_crs(dataset[mapping].attrs, str(path))
     grid = _of_array(array, geographic, layer, x, y, crs, f"{path}, variable '{variable}'", ours=bool(kept))
     return _kept.restored(grid, dataset, variable, kept, override=sigma is not None) if kept else grid
+
+
+def _asked(file: xr.Dataset, variable: str | None, sigma: str | float | None, path: Path) -> str:
+    """The variable asked for, else the only field that there is."""
+    if isinstance(sigma, str) and sigma not in file:
+        raise UnknownVariableError(
+            f"{path}: needed a variable among {', '.join(_fields(file))} for sigma, got '{sigma}'"
+        )
+    if variable is not None:
+        if variable not in file:
+            raise UnknownVariableError(f"{path}: needed a variable among {', '.join(_fields(file))}, got '{variable}'")
+        return variable
+    candidates = [n for n in _fields(file) if n != sigma]
+    if len(candidates) != 1:
+        raise UnknownVariableError(
+            f"{path}: needed variable= for one of its fields, got none; it has {', '.join(_fields(file)) or 'no field'}"
+        )
+    return candidates[0]
+
+
+def _needed(file: xr.Dataset, variable: str, sigma: str | float | None, old: bool, path: Path) -> xr.Dataset:
+    """The variables that a field's map is made of, in memory; the rest of a file may be larger than that."""
+    if old:
+        names = ["x_range", "y_range", "dimension", "z"]
+    else:
+        attributes = file[variable].attrs
+        names = [
+            variable, *([sigma] if isinstance(sigma, str) else []), *str(attributes.get("ancillary_variables", "")).split(),
+            str(attributes.get("grid_mapping", "")).split(":")[0].strip(), *_kept.layers_of(file, variable),
+        ]  # fmt: skip
+    names = [n for n in dict.fromkeys(names) if n in file.variables]
+    for name in dict.fromkeys([*names, *(d for n in names for d in file[n].dims if d in file.variables)]):
+        if file[name].size > MOST:
+            raise ReadError(f"{path}: needed at most {MOST:,} numbers in '{name}', got {file[name].size:,}")
+    return file[names].load()
 
 
 def _fields(dataset: xr.Dataset) -> list[str]:

@@ -34,6 +34,7 @@ MISSING = {
     "-nan",
 }
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d{1,3})?")
+_WHOLE = re.compile(r"[+-]?[0-9]+")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _HEMISPHERE = re.compile(r"([+-]?\d+(?:\.\d+)?)\s*°?\s*([NSEWnsew])")
 
@@ -51,6 +52,20 @@ def is_decimal_comma(text: str) -> bool:
 def is_missing(text: str) -> bool:
     """Whether a field stands for no value."""
     return text.lower() in MISSING
+
+
+def plain(text: str) -> float:
+    """A decimal number; ValueError for all else, also for what `float` takes beside (`1_0`, `inf`, blanks)."""
+    if not is_number(text):
+        raise ValueError(text)
+    return float(text.replace("D", "E").replace("d", "e"))
+
+
+def whole(text: str) -> int:
+    """A number of digits, with or without a sign; ValueError for all else, also for what `int` takes beside."""
+    if not _WHOLE.fullmatch(text):
+        raise ValueError(text)
+    return int(text)
 
 
 def number(text: str, comma: bool = False) -> float:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from geomag._errors import InvalidInputError, ReadError, UnknownVariableError
+from geomag._errors import GeomagError, InvalidInputError, ReadError, UnknownVariableError
 from geomag._geomag import GridMap
 from geomag._optional import require
-from geomag.io._make import make_map
-from geomag.io._units import check_degrees, crs_metres, metric_crs, same_kind
+from geomag.io._make import MOST, make_map
+from geomag.io._units import ask_kind, check_degrees, crs_metres, metric_crs, same_kind
 
 
 def _band(source: Any, variable: str | None, path: Path) -> int:  # noqa: ANN401 - rasterio's
@@ -30,14 +30,6 @@ def _band(source: Any, variable: str | None, path: Path) -> int:  # noqa: ANN401
     return names[variable]
 
 
-def ask_kind(where: str) -> InvalidInputError:
-    """The question for degrees or metres."""
-    return InvalidInputError(
-        f"{where}: needed to know whether its coordinates are degrees or metres, got neither units nor names that say "
-        "so; pass geographic=True or geographic=False"
-    )
-
-
 def read_raster(path: Path, variable: str | None, geographic: bool | None, sigma: float | None) -> GridMap:
     """A map of one band of a raster."""
     rasterio = require("rasterio", "io", "reading GeoTIFF, Surfer and ERMapper grids")
@@ -47,10 +39,14 @@ def read_raster(path: Path, variable: str | None, geographic: bool | None, sigma
             source = rasterio.open(path)
         with source:
             number = _band(source, variable, path)
+            if source.width * source.height > MOST:
+                raise ReadError(f"{path}: needed at most {MOST:,} nodes, got {source.height:,} x {source.width:,}")
             band = source.read(number, masked=True)
             transform, crs = source.transform, source.crs
             scale, zero, unit = (of[number - 1] for of in (source.scales, source.offsets, source.units))
-    except rasterio.errors.RasterioError as error:
+    except GeomagError:
+        raise
+    except Exception as error:  # besides its own kinds, what trips over the texts and sizes of a damaged file
         raise ReadError(f"{path}: needed a readable raster, got: {error}") from error
     if transform.is_identity:
         raise InvalidInputError(
@@ -101,7 +97,8 @@ def read_oasis(path: Path, geographic: bool | None, sigma: float | None) -> Grid
     if geographic is None:
         raise ask_kind(str(path))
     try:
-        array = harmonica.load_oasis_montaj_grid(str(path))
+        with np.errstate(all="ignore"):
+            array = harmonica.load_oasis_montaj_grid(str(path))
     except Exception as error:  # the reader underneath trips in many ways over what is no grid
         raise ReadError(f"{path}: needed a readable Oasis montaj grid, got: {error}") from error
     if array.ndim != 2 or not {"easting", "northing"} <= set(array.dims):

@@ -110,7 +110,7 @@ def split_line(line: str, separator: str) -> list[str]:
         if separator == " ":
             line, separator = re.sub(r"\s+(?=(?:[^\"]*\"[^\"]*\")*[^\"]*$)", "\t", line.strip()), "\t"
         try:
-            row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+            row = next(csv.reader([line], delimiter=separator, skipinitialspace=True, strict=True), [])
             return [f.strip() for f in row]
         except csv.Error:
             pass

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geomag._errors import TimeError
+from geomag.io._numbers import plain
 from geomag.io._units import SECONDS, tidy
 
 Array = NDArray[np.float64]
@@ -253,21 +254,21 @@ class Clock:
         """Seconds of one field; ValueError for what is no time, TimeError for a date with two readings."""
         text = text.strip().strip('"')
         try:
-            plain = float(text)
+            given = plain(text)
         except ValueError:
             return self._of_text(text, where)
-        if not np.isfinite(plain):
+        if not np.isfinite(given):
             raise ValueError(text)
         if self._unit is not None:
             return (
-                self.midnight(float(from_numbers(np.array([plain]), self._unit, where)[0]))
+                self.midnight(float(from_numbers(np.array([given]), self._unit, where)[0]))
                 if tidy(self._unit).startswith("hhmm")
-                else float(from_numbers(np.array([plain]), self._unit, where)[0])
+                else float(from_numbers(np.array([given]), self._unit, where)[0])
             )
         for low, high, name in _EPOCHS:
-            if low <= plain <= high and name != "s":
-                return float(_scaled(np.array([plain]), SECONDS[name])[0])
-        return plain
+            if low <= given <= high and name != "s":
+                return float(_scaled(np.array([given]), SECONDS[name])[0])
+        return given
 
     def _of_text(self, text: str, where: str) -> float:
         one, other = _all([text], True), _all([text], False)

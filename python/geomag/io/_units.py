@@ -132,6 +132,14 @@ def check_degrees(crs: Any, where: str) -> None:  # noqa: ANN401 - rasterio's
         raise InvalidInputError(f"{where}: needed longitude and latitude in degrees, got {crs.units_factor[0]}")
 
 
+def ask_kind(where: str) -> InvalidInputError:
+    """The question for degrees or metres."""
+    return InvalidInputError(
+        f"{where}: needed to know whether its coordinates are degrees or metres, got neither units nor names that say "
+        "so; pass geographic=True or geographic=False"
+    )
+
+
 def same_kind(told: bool | None, said: bool, where: str) -> bool:
     """What the file says of degrees or metres, which a caller may repeat but not contradict."""
     if told is not None and told != said:
