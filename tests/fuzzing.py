@@ -119,7 +119,8 @@ def strangers(
 def of_mgd77(data: bytes, base: np.ndarray) -> np.ndarray:
     """Numbers with the implied decimals of MGD77: what stands in its fields of hundred-thousandths and tenths."""
     found = list(base)
-    for line in data.decode("utf-8", "replace").split("\n"):
+    decoded_ = data.decode("utf-8", "replace") + "\n" + data.decode("cp1252", "replace")
+    for line in decoded_.split("\n"):
         for first, length, digits in (
             (27, 8, 5), (35, 9, 5), (60, 6, 1), (66, 6, 1), (72, 6, 1), (90, 7, 1), (103, 5, 1),
         ):  # fmt: skip
@@ -261,9 +262,9 @@ def made() -> dict[str, bytes]:
         "smw.min": "".join(f" {k:<23}{v:<45}|\n" for k, v in (("Format", "IAGA-2002"), ("Station Name", "Somewhere"), ("IAGA CODE", "SMW"),
                    ("Geodetic Latitude", "47.0"), ("Geodetic Longitude", "10.0"), ("Elevation", "500"), ("Reported", "XYZF")))
         + " # a note                                                             |\nDATE       TIME         DOY     SMWX      SMWY      SMWZ      SMWF   |\n"
-        + "".join(f"2026-03-01 00:0{k}:00.000 060     2100{k}.25   100{k}.50  4300{k}.75  {'99999.00' if k == 2 else f'4786{k}.10'}\n" for k in range(5)),
+        + "".join(f"2026-03-01 00:0{k}:00.000 060     2100{k}.25   100{k}.50  4300{k}.75  {'99999.00' if k == 2 else f'4786{k}.10'}\n" for k in (1, 2)),
         "leg.mgd77": "".join(f"5TEST0001  019850612235{k}500 101234{k}-1799999{k}199999999999999945123{k}99999999999999999999999999999999999  -12{k}99999999999{k}\n"
-                             for k in range(3)),
+                             for k in (0, 1)),
         "leg.m77t": "SURVEY_ID TIMEZONE DATE TIME LAT LON MAG_TOT MAG_RES FREEAIR\nA 0 19910812 2359.5 18.8489 -155.325 45123.4  -12.3\n"
         "A 0 19910813 0000.5 18.8496 -155.322 45124.4  \n".replace(" ", "\t"),
         "dsaa.grd": "DSAA\n4 3\n0 300\n0 200\n0.5 11.5\n0.5 1.5 2.5 3.5\n4.5 5.5 1.70141e38 7.5\n8.5 9.5 10.5 11.5\n",
@@ -336,14 +337,14 @@ Strange = Callable[[np.ndarray, bytes], np.ndarray]
 @cache
 def kinds(folder: Path) -> dict[str, tuple[Source, list[Read], Strange]]:
     """By name of a kind: files to mutate, readers (which are told apart where there are several), and what no value may be."""
-    logs = {p.name: b"\n".join(p.read_bytes().split(b"\n")[:8]) for p in LOGS}
+    logs = {p.name: b"\n".join(p.read_bytes().split(b"\n")[:4]) for p in LOGS}
     lines_ = (CASES / "lines-date-line.csv").read_bytes().split(b"\n")
     at = partial(partial, folder=folder)
     text = _case(*(p.name for p in TEXT_GRIDS))
     found: dict[str, tuple[Source, list[Read], Strange]] = {
         "log": (logs | _case("stream-latitude-first.csv") | {k: made()[k] for k in ("comma.csv", "units.txt", "quoted.csv", "wide.csv", "wide16.csv")}, [track, csv], strangers),
         "nmea": (_case("nmea-noise.txt") | {"rmc.nmea": made()["rmc.nmea"]}, [nmea, at(nmea_file)], strangers),
-        "lines": (_case("lines-geosoft.xyz") | {"date-line.csv": b"\n".join(lines_[:5] + lines_[200:206])}, [at(lines)], strangers),
+        "lines": (_case("lines-geosoft.xyz") | {"date-line.csv": b"\n".join(lines_[:3] + lines_[200:202])}, [at(lines)], strangers),
         "iaga": ({"smw.min": made()["smw.min"]}, [at(iaga)], strangers),
         "mgd77": ({k: made()[k] for k in ("leg.mgd77", "leg.m77t")}, [at(trackline)], partial(strangers, more=of_mgd77)),
         "esri": ({"grid-esri.asc": text["grid-esri.asc"]}, [], strangers),
@@ -385,18 +386,19 @@ def one(kind: str, seed: int, folder: Path) -> str | None:
     if kind == "text" and name.endswith(".txt"):
         readers = [nmea]
     for read in readers or [partial(grid, name=name, folder=folder)]:
-        label = f"{name}, seed {seed}, {getattr(read, 'func', read).__name__}"
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", geomag.DataWarning)
-            try:
-                values = read(data)
-            except geomag.GeomagError:
-                continue
-            except Exception as error:
-                return f"{label}: {type(error).__name__}: {error}"
+
+        def label(read: Read = read) -> str:
+            return f"{name}, seed {seed}, {getattr(read, 'func', read).__name__}"
+
+        try:
+            values = read(data)
+        except geomag.GeomagError:
+            continue
+        except Exception as error:
+            return f"{label()}: {type(error).__name__}: {error}"
         strange = strange_to(values, data)
         if strange.size:
-            return f"{label}: {strange[:3]} not in {data[:300]!r}"
+            return f"{label()}: {strange[:3]} not in {data[:300]!r}"
     return None
 
 
@@ -408,7 +410,9 @@ def run(kind: str, first: int, count: int, told: Callable[[int], None] = lambda 
     """What is wrong with `count` seeds from `first` on; every seed is told before it is tried."""
     wrong = []
     signal.signal(signal.SIGALRM, _hung)
-    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
+    shared = "/dev/shm" if Path("/dev/shm").is_dir() else None
+    with tempfile.TemporaryDirectory(dir=shared) as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", geomag.DataWarning)
         for seed in range(first, first + count):
             told(seed)
             signal.alarm(HANG_S)

@@ -44,7 +44,8 @@ def _field(line: str, first: int, length: int) -> float:
     # Nines stand for no value where they fill the field, but for a sign.
     if not text or (set(text.lstrip("+-")) <= {"9"} and len(text.lstrip("+-")) >= length - 1 and len(text) == length):
         return float("nan")
-    return float(whole(text))
+    # A blank at the end would be a digit less, and all decimals are implied.
+    return float(whole(line[first : first + length].lstrip()))
 
 
 def _seconds(year: int, month: int, day: int, hours: float, zone_h: float) -> float:

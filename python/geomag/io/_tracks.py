@@ -305,7 +305,7 @@ def _seconds(
         if not len(plain):
             return None
         plain = plain[keep]
-        if np.isnan(plain).any():
+        if not np.isfinite(plain).all():
             _untimed(where, "a time is missing", asked)
             return None
         told = (
@@ -410,6 +410,6 @@ def line_points(
     points.x, points.y, points.values = points.x[keep], points.y[keep], points.values[keep]
     if points.geographic:
         points.x = _one_turn(points.x)
-    if labels.dtype.kind == "f" and np.all(labels == np.rint(labels)):
+    if labels.dtype.kind == "f" and np.all((labels == np.rint(labels)) & (np.abs(labels) < 2**53)):
         labels = labels.astype(np.int64)
     return points, labels[keep], None if heights is None else heights[keep]
