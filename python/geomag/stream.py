@@ -1,7 +1,7 @@
 """Samples from a pipe, fixes to a pipe: one line in, one line out, at once.
 
 Input is CSV or NMEA 0183. CSV lines are `x,y,value` or `time,x,y,value`, or whatever a header line says; lines that start with #
-are passed over. NMEA has positions in GGA or RMC sentences and values in sentences `$PGMAG,<value>*hh` after them. A line that cannot be
+are passed over. NMEA has positions in GGA, RMC, GLL or GNS sentences and values in sentences `$PGMAG,<value>*hh` after them. A line that cannot be
 read is passed over and told. Output is one JSON object a sample, or MAVLink messages of the fixes. Nothing is buffered, so that a fix is there when its sample is.
 """
 

@@ -71,7 +71,10 @@ def stream(
     max_misses: Annotated[int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")] = 0,
     length: Annotated[int, typer.Option(min=3, help="Contour: samples of the sliding window.")] = 20,
     input: Annotated[
-        Input, typer.Option(help="csv: x,y,value or time,x,y,value, or as a header says. nmea: GGA or RMC, $PGMAG.")
+        Input,
+        typer.Option(
+            help="csv: x,y,value or time,x,y,value, or as a header says. nmea: GGA, RMC, GLL or GNS, then $PGMAG."
+        ),
     ] = Input.csv,
     output: Annotated[
         Output, typer.Option(help="json: a line a sample. mavlink: an external-position message for each fix.")

@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 from geomag._errors import InvalidInputError, UnknownVariableError
-from geomag.io._units import DEGREES, FIELD, METRES, OTHER_ANGLES, SECONDS, check_sense, field_unit, is_degree, tidy
+from geomag.io._units import (
+    DEGREES,
+    FIELD,
+    GAUSS,
+    METRES,
+    OTHER_ANGLES,
+    SECONDS,
+    check_sense,
+    field_unit,
+    is_degree,
+    tidy,
+)
 
 Kind = Literal["x", "y", "value", "sigma", "height", "time", "date", "line", "other"]
 System = Literal["geographic", "projected", None]
@@ -99,7 +110,7 @@ def _split_unit(name: str) -> tuple[str, str | None]:
     for count in (3, 2, 1):
         if len(words) > count:
             ending = "_".join(words[-count:]).lower()
-            if ending in _ENDINGS or ending in _CLOCK_ENDINGS:
+            if ending in _ENDINGS or ending in _CLOCK_ENDINGS or (count == 1 and words[-1] in GAUSS):
                 return name[: len(name) - len("_".join(words[-count:]))].rstrip(" _-/,.:"), "_".join(words[-count:])
     camel = re.fullmatch(r"([Tt]ime(?:[Ss]tamp)?|TIME)(US|us|ms|MS|ns|NS)", name)
     return (camel[1], camel[2]) if camel else (name, None)

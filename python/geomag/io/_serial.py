@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -159,6 +160,12 @@ def read_csv(lines: Iterable[str]) -> Iterator[Sample]:
         yield found
 
 
+#: Sentences with a position.
+_POSITIONS = ("GGA", "RMC", "GLL", "GNS")
+#: A line may hold several, or half of one before a whole one, or a tag block.
+_SENTENCES = re.compile(r"\$[^$\r\n]*")
+
+
 def _sentence(line: str) -> list[str] | None:
     """Fields of an NMEA sentence whose checksum holds; None for lines that are no sentence, ValueError for a wrong checksum."""
     if not line.startswith("$"):
@@ -184,15 +191,20 @@ def _degrees(text: str, hemisphere: str, digits: int, hemispheres: str) -> float
 
 
 def _position(fields: list[str]) -> tuple[float, float, float | None] | None:
-    """Longitude, latitude and seconds of the day of a GGA or RMC sentence; None where it says that it has none."""
-    gga = fields[0].endswith("GGA")
-    first = 2 if gga else 3
+    """Longitude, latitude and seconds of the day of a sentence with a position; None where it says that it has none."""
+    kind = fields[0][-3:]
+    first, at = {"GGA": (2, 1), "GNS": (2, 1), "RMC": (3, 1), "GLL": (1, 5)}[kind]
     latitude, north, longitude, east = fields[first : first + 4]
-    # Quality of a GGA, status and, from version 2.3 on, mode of an RMC.
-    void = fields[6] in ("", "0") if gga else fields[2] != "A" or fields[12:13] == ["N"]
+    clock = fields[at]
+    if kind == "GGA":
+        void = fields[6] in ("", "0")  # its quality
+    elif kind == "GNS":
+        void = not fields[6].strip("N")  # a mode for every system
+    else:
+        # Status and, from version 2.3 on, mode.
+        void = fields[{"RMC": 2, "GLL": 6}[kind]] != "A" or fields[{"RMC": 12, "GLL": 7}[kind] :][:1] == ["N"]
     if void or not latitude or not longitude:
         return None
-    clock = fields[1]
     seconds = None
     if clock:
         if not (is_number(clock) and clock[:6].isdigit()):
@@ -205,7 +217,7 @@ def _position(fields: list[str]) -> tuple[float, float, float | None] | None:
 
 
 def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
-    """Samples from NMEA 0183: a position (GGA or RMC), then `$PGMAG,<value>*hh`; other sentences are passed over.
+    """Samples from NMEA 0183: a position (GGA, RMC, GLL or GNS), then `$PGMAG,<value>*hh`; other sentences are passed over.
 
     A sentence that declares its position void (GGA of quality 0, RMC of status V) or leaves it empty ends the one
     before: readings are passed over until there is a position again, and so is one that is empty. So does a garbled sentence, which is told by a
@@ -213,16 +225,25 @@ def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
     """
     position: tuple[float, float, float | None] | None = None
     clock = Clock()
-    for number_, raw in enumerate(lines, start=1):
-        line = raw.strip()
+    silent = False
+    for number_, line in (
+        (k, sentence) for k, raw in enumerate(lines, start=1) for sentence in _SENTENCES.findall(raw)
+    ):
         try:
-            fields = _sentence(line)
+            fields = _sentence(line.strip())
             if fields is None:
                 continue
-            if fields[0][-3:] in ("GGA", "RMC"):
+            if fields[0][-3:] in _POSITIONS:
                 position = _position(fields)
+                silent = silent and position is None
                 if position is not None and position[2] is not None:
                     position = (*position[:2], clock.midnight(position[2]))
+            elif fields[0] == "PGMAG" and position is None and fields[1]:
+                if not silent:
+                    told(
+                        f"line {number_} is passed over, as all readings are until there is a position ({', '.join(_POSITIONS)})"
+                    )
+                silent = True
             elif fields[0] == "PGMAG" and position is not None and fields[1]:
                 value = number(fields[1])
                 if not math.isfinite(value) or abs(value) >= 0.99e12 or value in _DUMMIES:
@@ -232,4 +253,4 @@ def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
             told(f"line {number_} is passed over: needed an NMEA sentence, got {line[:90]!r} ({error})")
             # Which sentence it was cannot be known: a reading after it must not be laid to an old position.
             if "PGMAG" not in line[:7]:
-                position = None
+                position, silent = None, True

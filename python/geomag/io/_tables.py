@@ -87,7 +87,7 @@ def _nmea_table(text: str, where: str) -> Table:
     samples = list(read_nmea(text.split("\n")))
     if not samples:
         raise ReadError(
-            f"{where}: needed positions (GGA or RMC) and readings ($PGMAG) after them, got none that can be read"
+            f"{where}: needed positions (GGA, RMC, GLL or GNS) and readings ($PGMAG) after them, got none that can be read"
         )
     columns = {
         n: np.array([getattr(s, k) for s in samples])

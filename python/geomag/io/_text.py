@@ -29,8 +29,10 @@ from geomag.io._units import DEGREES, FIELD, METRES, SECONDS, tidy
 
 #: Lines that a separator is judged by.
 _SAMPLE = 200
+#: Lines of a title that may stand before a header.
+_PREAMBLE = 40
 _SEPARATORS = ("\t", ";", "|", ",", " ")
-_LINE = re.compile(r"\s*(line|tie|base|random|special|trend|flight)\s*[:=]?\s+(\S+)\s*$", re.IGNORECASE)
+_LINE = re.compile(r"\s*(line|tie|base|random|special|trend|flight)(?:\s*[:=]\s*|\s+)(\S+)\s*$", re.IGNORECASE)
 
 
 @dataclass
@@ -97,6 +99,14 @@ def decoded(data: bytes, where: str) -> str:
             except UnicodeDecodeError as error:
                 raise ReadError(f"{where}: needed text in {encoding}, as its first bytes say, got {error}") from error
     if b"\0" in data:
+        zeros = [data[k::2].count(0) for k in (0, 1)]
+        if (
+            min(zeros) == 0 and max(zeros) > 0.8 * len(data) / 2
+        ):  # every other byte of Latin text in UTF-16, here without its mark
+            try:
+                return data.decode("utf-16-le" if zeros[1] else "utf-16-be")
+            except UnicodeDecodeError:
+                pass
         raise ReadError(f"{where}: needed a readable table, got binary content")
     try:
         return data.decode("utf-8")
@@ -217,7 +227,22 @@ def parse(text: str, where: str) -> Table:
         raise ReadError(
             f"{where}: needed a readable table of several columns, got line {content[0][0]}: {content[0][1][:60]!r}"
         )
-    return _table(content, comments, labels, separator, where)
+    skipped = _preamble(content, separator)
+    labels = [(max(0, at - skipped), name) for at, name in labels]
+    return _table(content[skipped:], comments, labels, separator, where)
+
+
+def _preamble(content: list[tuple[int, str]], separator: str) -> int:
+    """How many lines stand before a header that names coordinates, where the first line has other fields than the rows have."""
+    sample = [without_tail(split_line(line, separator)) for _, line in content[: _SAMPLE + 1]]
+    counts = [len(row) for row in sample]
+    usual = max(set(counts), key=counts.count)
+    if counts[0] in (usual, usual + 1, usual - 1):
+        return 0
+    for k, row in enumerate(sample[:_PREAMBLE]):
+        if len(row) == usual and len(set(row)) == usual and not any(is_datum(f) for f in row):
+            return k if {"x", "y"} <= {c.kind for c in columns_of([f.strip('"') for f in row])} else 0
+    return 0
 
 
 def _table(

@@ -36,8 +36,12 @@ FIELD = {
     **dict.fromkeys(("ugal", "µgal", "μgal", "microgal"), ("mGal", 1e-3)),
     **dict.fromkeys(("gal",), ("mGal", 1e3)),
     **dict.fromkeys(("gu", "g.u.", "um/s2", "µm/s2", "um/s^2", "µm/s²", "um_s-2"), ("mGal", 0.1)),
-    **dict.fromkeys(("m/s2", "m/s^2", "m/s²", "m_s-2", "m_s**-2"), ("mGal", 1e5)),
+    **dict.fromkeys(
+        ("m/s2", "m/s^2", "m/s**2", "m/s²", "m_s-2", "m_s**-2", "m_s^-2", "meter/second**2"), ("mGal", 1e5)
+    ),
 }
+#: Gauss in letters, whose case counts: `mg` and `g` may be other things.
+GAUSS = {"G": ("nT", 1e5), "Gs": ("nT", 1e5), "mG": ("nT", 1e2), "uG": ("nT", 0.1)}
 #: Seconds in a unit of time.
 SECONDS = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
@@ -82,7 +86,9 @@ def metres_in(unit: str | None, where: str) -> float:
 
 def field_unit(unit: str | None) -> tuple[str, float] | None:
     """Whether a unit is one of a magnetic field or of gravity: nT or mGal and how many of them; None for any other."""
-    return None if unit is None else FIELD.get(tidy(unit))
+    if unit is None:
+        return None
+    return GAUSS.get(unit.strip()) or FIELD.get(tidy(unit))
 
 
 def crs_of(text: object) -> Any:  # noqa: ANN401 - rasterio's
