@@ -9,7 +9,7 @@ RUST := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml
 help:
 	@echo "make demo   build everything and do the main job, with a picture in out/"
 	@echo "make test   all tests, Rust and Python"
-	@echo "make bench  criterion benches and the side-by-side table"
+	@echo "make bench  criterion benches and the side-by-side tables, kept and written up in docs/reports/benchmarks.md"
 	@echo "make lint   formatting, clippy, ruff, mypy, stubs against the module"
 	@echo "make docs   the site, with the API of both languages"
 
@@ -47,7 +47,8 @@ test-python: $(VENV)/built $(VENV)/dev
 
 bench: $(VENV)/built $(VENV)/dev
 	cargo bench --locked
-	$(BIN)/python benches/peers/run.py
+	$(BIN)/python benches/peers/run.py --record
+	$(BIN)/python benches/report.py
 
 bench-smoke: $(VENV)/built $(VENV)/dev
 	cargo bench --locked -- --test

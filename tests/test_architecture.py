@@ -14,7 +14,7 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 #: Lowest floor first; modules of one group may use each other.
 FLOORS = [
     {"error", "constants", "bounds"},
-    {"monitor", "random", "state", "statistics", "compensation"},
+    {"instructions", "monitor", "random", "state", "statistics", "compensation"},
     {"frame", "field", "grid", "map_error", "gridding", "information", "stack", "track", "fix"},
     {"harmonic", "main_field", "kalman", "lattice"},
     {"matching"},

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __version__: str
 instruction_set: str
+instruction_sets: tuple[str, ...]
 
 _Floats: TypeAlias = NDArray[np.float64]
 _Pair: TypeAlias = float | Sequence[float] | _Floats

@@ -21,6 +21,7 @@ pub mod grid;
 pub mod gridding;
 pub mod harmonic;
 pub mod information;
+pub mod instructions;
 pub mod kalman;
 pub mod lattice;
 pub mod main_field;

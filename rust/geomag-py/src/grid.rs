@@ -549,7 +549,7 @@ impl PyGridMap {
     ) -> PyRes<Bound<'py, PyAny>> {
         let method = interpolation(method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.sample(x, y, method)).collect());
+        let values = py.detach(|| self.inner.sample_many(&x, &y, method));
         shaped(py, values, &shape)
     }
 

@@ -94,10 +94,15 @@ mod _geomag {
     use crate::track::PyTrack;
 
     use pyo3::prelude::*;
+    use pyo3::types::PyTuple;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        module.add("instruction_set", geomag_core::lattice::instruction_set())?;
+        module.add("instruction_sets", PyTuple::new(module.py(), geomag_core::instructions::available())?)?;
+        module.add(
+            "instruction_set",
+            geomag_core::instructions::instruction_set().map_err(crate::error::PyError::from)?,
+        )?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -1,12 +1,14 @@
 //! Long computations: interpreter released, Ctrl-C heard, progress reported.
 
+use std::num::NonZero;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 
 use geomag_core::error::{Error, Result as CoreResult};
 use geomag_core::monitor::{Monitor, Quiet};
 use pyo3::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::{PyRes, invalid};
 
@@ -28,6 +30,28 @@ impl Monitor for Shared {
         self.total.store(total, Ordering::Relaxed);
         if self.stop.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
     }
+}
+
+/// Threads that were asked for before, by process and number: starting them takes longer than small work does.
+static POOLS: Mutex<Vec<(u32, usize, Arc<ThreadPool>)>> = Mutex::new(Vec::new());
+
+/// A pool of `n` threads; kept for the next call where the machine has as many.
+fn pool(n: usize) -> PyRes<Arc<ThreadPool>> {
+    let process = std::process::id();
+    let mut pools = POOLS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some((.., pool)) = pools.iter().find(|(owner, threads, _)| (*owner, *threads) == (process, n)) {
+        return Ok(pool.clone());
+    }
+    let built = ThreadPoolBuilder::new().num_threads(n).build();
+    let built = Arc::new(built.map_err(|e| invalid("threads", "a number of threads that the system grants", e))?);
+    if n <= std::thread::available_parallelism().map_or(1, NonZero::get) {
+        // Threads do not outlive a fork, and what they may have held cannot be given back.
+        let (own, others) = std::mem::take(&mut *pools).into_iter().partition(|(owner, ..)| *owner == process);
+        *pools = own;
+        std::mem::forget::<Vec<_>>(others);
+        pools.push((process, n, built.clone()));
+    }
+    Ok(built)
 }
 
 /// Runs `work` without the interpreter. Where it is long (`units`, about a nanosecond each) or `progress` is wanted,
@@ -58,12 +82,7 @@ pub fn run<T: Send>(
         Some(n) if n == 0 || n > MOST_THREADS => {
             return Err(invalid("threads", &format!("1 to {MOST_THREADS}"), n));
         }
-        Some(n) => Some(
-            rayon::ThreadPoolBuilder::new()
-                .num_threads(n)
-                .build()
-                .map_err(|e| invalid("threads", "a number of threads that the system grants", e))?,
-        ),
+        Some(n) => Some(pool(n)?),
     };
     let work = move |monitor: &dyn Monitor| match &pool {
         Some(pool) => pool.install(|| work(monitor)),

@@ -94,11 +94,13 @@ impl Axis {
     }
 
     /// Position of a coordinate in cells from the first node.
+    #[inline]
     pub fn position(&self, coordinate: f64) -> f64 {
         (coordinate - self.first) / self.step
     }
 
     /// The cell that holds a position in cells, and the fraction within it; positions on a node give fraction 0 or 1.
+    #[inline(always)]
     pub(crate) fn cell(&self, position: f64) -> Option<(usize, f64)> {
         let last_cell = (self.len - 2) as f64;
         if !(position >= -NODE_TOLERANCE && position <= last_cell + 1.0 + NODE_TOLERANCE) {
@@ -111,13 +113,16 @@ impl Axis {
 }
 
 /// Whole cells and fraction in [0, 1) of a position, with positions next to a node taken to be on it.
+#[inline(always)]
 pub(crate) fn split_position(position: f64) -> (i64, f64) {
-    let nearest = position.round();
-    if (position - nearest).abs() <= NODE_TOLERANCE {
-        (nearest as i64, 0.0)
+    let floor = position.floor();
+    let fraction = position - floor;
+    if fraction <= NODE_TOLERANCE {
+        (floor as i64, 0.0)
+    } else if (position - (floor + 1.0)).abs() <= NODE_TOLERANCE {
+        (floor as i64 + 1, 0.0)
     } else {
-        let floor = position.floor();
-        (floor as i64, position - floor)
+        (floor as i64, fraction)
     }
 }
 

@@ -318,7 +318,7 @@ impl GridMap {
     }
 
     /// Position of a point in cells from the first node `[column, row]`, longitude wrapped.
-    #[inline]
+    #[inline(always)]
     pub fn position(&self, x: f64, y: f64) -> [f64; 2] {
         [self.x.position(self.wrap_x(x)), self.y.position(y)]
     }
@@ -402,6 +402,7 @@ impl Field for GridMap {
         }
     }
 
+    #[inline(always)]
     fn wrap_x(&self, x: f64) -> f64 {
         if self.geographic { wrap_longitude(x, 0.5 * (self.x.first() + self.x.last())) } else { x }
     }

@@ -1,9 +1,12 @@
 //! Reading a map between its nodes.
 
+// Only what is inlined into the dispatched function is compiled for its instruction set.
+#![allow(clippy::inline_always)]
+
 use serde::{Deserialize, Serialize};
 
-use super::GridMap;
 use super::axis::{Axis, NODE_TOLERANCE};
+use super::{GridMap, GridValues};
 use crate::field::Field;
 
 /// How a map is read between its nodes.
@@ -20,6 +23,17 @@ impl GridMap {
     /// Value between the nodes; NaN off the map and next to holes.
     pub fn sample(&self, x: f64, y: f64, method: Interpolation) -> f64 {
         self.sample_and_gradient(x, y, method).0
+    }
+
+    /// Values between the nodes at many places, as [`GridMap::sample`] gives them, to the bit; several times as fast.
+    ///
+    /// # Panics
+    /// Where there are not as many `x` as `y`.
+    pub fn sample_many(&self, x: &[f64], y: &[f64], method: Interpolation) -> Vec<f64> {
+        assert_eq!(x.len(), y.len(), "as many x as y");
+        let mut out = vec![0.0; x.len()];
+        crate::instructions::chosen().dispatch(Places { map: self, x, y, method, out: &mut out });
+        out
     }
 
     /// Value and gradient per metre `[east, north]`; NaN off the map and next to holes.
@@ -64,16 +78,6 @@ impl GridMap {
 
     fn bilinear(&self, ix: usize, iy: usize, tx: f64, ty: f64) -> (f64, [f64; 2]) {
         let [a, b, c, d] = [self.node(iy, ix), self.node(iy, ix + 1), self.node(iy + 1, ix), self.node(iy + 1, ix + 1)];
-        // A node of weight zero is not needed: a hole there must not spoil a sample that lies on its neighbour.
-        let mix = |p: f64, q: f64, t: f64| {
-            if t == 0.0 {
-                p
-            } else if t == 1.0 {
-                q
-            } else {
-                (1.0 - t) * p + t * q
-            }
-        };
         let value = mix(mix(a, b, tx), mix(c, d, tx), ty);
         (value, [mix(b - a, d - c, ty), mix(c - a, d - b, tx)])
     }
@@ -153,7 +157,81 @@ impl GridMap {
     }
 }
 
+/// Many places of a map, read by the machine's own instructions: rounding alone is a call of a function without them.
+struct Places<'a> {
+    map: &'a GridMap,
+    x: &'a [f64],
+    y: &'a [f64],
+    method: Interpolation,
+    out: &'a mut [f64],
+}
+
+impl pulp::WithSimd for Places<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        match &self.map.values {
+            GridValues::F32(values) => self.read(|i| f64::from(values[i])),
+            GridValues::F64(values) => self.read(|i| values[i]),
+        }
+    }
+}
+
+impl Places<'_> {
+    #[inline(always)]
+    fn read(self, node: impl Fn(usize) -> f64) {
+        let map = self.map;
+        let (columns, rows) = (map.x.len(), map.y.len());
+        for ((&x, &y), out) in self.x.iter().zip(self.y).zip(self.out) {
+            let [px, py] = map.position(x, y);
+            let (Some((ix, tx)), Some((iy, ty))) = (map.x.cell(px), map.y.cell(py)) else {
+                *out = f64::NAN;
+                continue;
+            };
+            *out = match self.method {
+                Interpolation::Bilinear => {
+                    let low = iy * columns + ix;
+                    let high = low + columns;
+                    let below = mix(node(low), node(low + 1), tx);
+                    mix(below, mix(node(high), node(high + 1), tx), ty)
+                }
+                // Away from borders and from node lines, all sixteen nodes are there and have weights other than zero.
+                Interpolation::Bicubic
+                    if tx != 0.0 && ty != 0.0 && ix > 0 && iy > 0 && ix + 2 < columns && iy + 2 < rows =>
+                {
+                    let (wx, wy) = (keys_weights(tx).0, keys_weights(ty).0);
+                    let first = (iy - 1) * columns + ix - 1;
+                    let mut value = 0.0;
+                    for (r, wy) in wy.into_iter().enumerate() {
+                        let mut row = 0.0;
+                        for (c, wx) in wx.into_iter().enumerate() {
+                            row += wx * node(first + r * columns + c);
+                        }
+                        value += wy * row;
+                    }
+                    value
+                }
+                Interpolation::Bicubic => map.bicubic(ix, iy, tx, ty).0,
+            };
+        }
+    }
+}
+
+/// Linear between two nodes. A node of weight zero is not needed: a hole there must not spoil a sample that lies on its neighbour.
+#[inline(always)]
+fn mix(p: f64, q: f64, t: f64) -> f64 {
+    if t == 0.0 {
+        p
+    } else if t == 1.0 {
+        q
+    } else {
+        (1.0 - t) * p + t * q
+    }
+}
+
 /// Weights and their derivatives of cubic convolution with a = -1/2 for the nodes -1, 0, 1, 2 at fraction t.
+#[inline(always)]
 fn keys_weights(t: f64) -> ([f64; 4], [f64; 4]) {
     let (t2, t3) = (t * t, t * t * t);
     (
@@ -165,6 +243,30 @@ fn keys_weights(t: f64) -> ([f64; 4], [f64; 4]) {
 #[cfg(test)]
 mod tests {
     use crate::grid::{GridMap, GridValues, Interpolation};
+
+    #[test]
+    fn many_places_are_read_as_one_is() {
+        let axis: Vec<f64> = (0..9).map(|k| 177.0 + 0.75 * f64::from(k)).collect();
+        let rows: Vec<f64> = (0..7).map(|k| -2.0 + 0.5 * f64::from(k)).collect();
+        let mut values: Vec<f64> = (0..63).map(|k| f64::from(k * k % 17) - 3.0).collect();
+        values[40] = f64::NAN;
+        let single = GridValues::F32(values.iter().map(|&v| v as f32).collect());
+        for values in [GridValues::F64(values), single] {
+            let map = GridMap::new(values, &axis, &rows, true).unwrap();
+            let (mut x, mut y) = (vec![f64::NAN, 1e30, 177.0, 183.0], vec![0.0, 0.0, 1.0, -2.0]);
+            for k in 0..4000 {
+                x.push(176.5 + f64::from(k % 131) * 0.05 - if k % 3 == 0 { 360.0 } else { 0.0 });
+                y.push(-2.5 + f64::from(k % 97) * 0.125 / 3.0);
+            }
+            for method in [Interpolation::Bilinear, Interpolation::Bicubic] {
+                for (k, value) in map.sample_many(&x, &y, method).into_iter().enumerate() {
+                    let one = map.sample(x[k], y[k], method);
+                    let same = value.to_bits() == one.to_bits() || (value.is_nan() && one.is_nan());
+                    assert!(same, "{} {} {method:?}: {value} {one}", x[k], y[k]);
+                }
+            }
+        }
+    }
 
     #[test]
     fn what_a_map_cannot_say_is_about_the_difference_of_two_interpolations() {

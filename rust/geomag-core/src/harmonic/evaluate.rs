@@ -96,7 +96,7 @@ impl RectangularHarmonicModel {
         out: &mut Output<B>,
         scratch: &mut Vec<f64>,
     ) {
-        pulp::Arch::new().dispatch(Run::<'_, GRADIENT, B> { packed: &self.packed, points, out, scratch });
+        crate::instructions::chosen().dispatch(Run::<'_, GRADIENT, B> { packed: &self.packed, points, out, scratch });
     }
 
     /// Whether the model answers at a point.

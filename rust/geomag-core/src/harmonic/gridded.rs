@@ -51,10 +51,9 @@ impl RectangularHarmonicModel {
         let tiles = along_east(&self.packed, east_m, down_m);
         let x = along_north(&self.packed, north_m);
         let width = columns * 3;
-        out.as_flattened_mut()
-            .par_chunks_mut(width * ROWS * 8)
-            .zip(x.par_chunks(inner * ROWS * 8))
-            .for_each(|(out, x)| pulp::Arch::new().dispatch(Product { x, tiles: &tiles, inner, width, out }));
+        out.as_flattened_mut().par_chunks_mut(width * ROWS * 8).zip(x.par_chunks(inner * ROWS * 8)).for_each(
+            |(out, x)| crate::instructions::chosen().dispatch(Product { x, tiles: &tiles, inner, width, out }),
+        );
         if !extrapolate {
             self.blank_outside(north_m, east_m, down_m, &mut out);
         }
@@ -96,10 +95,9 @@ fn along_east(packed: &Packed, east_m: &[f64], down_m: f64) -> Vec<f64> {
         }
     }
     // As many columns as a tile has numbers fill three tiles.
-    tiles
-        .par_chunks_mut(3 * inner * TILE)
-        .zip(east_m.par_chunks(TILE))
-        .for_each(|(tiles, east_m)| pulp::Arch::new().dispatch(Columns { packed, levelled: &levelled, east_m, tiles }));
+    tiles.par_chunks_mut(3 * inner * TILE).zip(east_m.par_chunks(TILE)).for_each(|(tiles, east_m)| {
+        crate::instructions::chosen().dispatch(Columns { packed, levelled: &levelled, east_m, tiles })
+    });
     tiles
 }
 

@@ -366,7 +366,7 @@ mod tests {
             if scalar {
                 pulp::WithSimd::with_simd(Apply(&arguments, &mut out), pulp::Scalar);
             } else {
-                pulp::Arch::new().dispatch(Apply(&arguments, &mut out));
+                crate::instructions::chosen().dispatch(Apply(&arguments, &mut out));
             }
             for (&x, [e, s, c]) in arguments.iter().zip(out) {
                 let (sin, cos) = x.sin_cos();

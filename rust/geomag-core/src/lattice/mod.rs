@@ -22,7 +22,7 @@ mod tile;
 pub use best_two::BestTwo;
 pub use comparison::Comparison;
 pub(crate) use shift::{Classes, Shift, value_at};
-pub use simd::{Kernel, Real, dispatch, instruction_set};
+pub use simd::{Kernel, Real, dispatch};
 pub use tile::{MAX_SLOTS, Measure};
 
 use serde::{Deserialize, Serialize};

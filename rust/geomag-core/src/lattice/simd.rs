@@ -170,30 +170,10 @@ real!(
 /// The kernel's `call` must be inlined (`#[inline(always)]`) to be compiled for that set. `FUSED` tells it whether
 /// fused multiply-add is an instruction there.
 pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if let Some(simd) = pulp::x86::V4::try_new() {
-            return simd.vectorize(Fused(kernel));
-        }
-        if let Some(simd) = pulp::x86::V3::try_new() {
-            return simd.vectorize(Fused(kernel));
-        }
+    match crate::instructions::chosen() {
+        pulp::Arch::Scalar => kernel.call::<false>(),
+        arch => arch.dispatch(Fused(kernel)),
     }
-    if cfg!(target_arch = "aarch64") { kernel.call::<true>() } else { kernel.call::<false>() }
-}
-
-/// Name of the instruction set that [`dispatch`] chooses on this machine.
-pub fn instruction_set() -> &'static str {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if pulp::x86::V4::try_new().is_some() {
-            return "x86-64-v4 (AVX-512)";
-        }
-        if pulp::x86::V3::try_new().is_some() {
-            return "x86-64-v3 (AVX2, FMA)";
-        }
-    }
-    std::env::consts::ARCH
 }
 
 /// A computation that is compiled once for each instruction set.
@@ -204,14 +184,12 @@ pub trait Kernel {
     fn call<const FUSED: bool>(self) -> Self::Output;
 }
 
-#[cfg(target_arch = "x86_64")]
 struct Fused<K>(K);
 
-#[cfg(target_arch = "x86_64")]
-impl<K: Kernel> pulp::NullaryFnOnce for Fused<K> {
+impl<K: Kernel> pulp::WithSimd for Fused<K> {
     type Output = K::Output;
     #[inline(always)]
-    fn call(self) -> K::Output {
+    fn with_simd<S: Simd>(self, _simd: S) -> K::Output {
         self.0.call::<true>()
     }
 }

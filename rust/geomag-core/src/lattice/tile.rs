@@ -141,7 +141,7 @@ impl<'a, T: Real> Tile<'a, T> {
 
     /// Fills in the scores.
     pub fn score<M: Measure>(&self, measure: M, scores: &mut TileScores<T>) {
-        let arch = pulp::Arch::new();
+        let arch = crate::instructions::chosen();
         if self.weights.is_some() || !self.shifts.iter().all(|s| self.inside(s)) || self.may_meet_holes() {
             arch.dispatch(ScoreTile::<T, M, true> { tile: *self, scores, measure });
         } else {

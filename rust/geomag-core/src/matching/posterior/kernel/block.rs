@@ -15,7 +15,7 @@ pub(in super::super) fn score<const BOUND: bool>(
     levels: Range<usize>,
     scratch: &mut Scratch,
 ) -> Scores {
-    pulp::Arch::new().dispatch(Block::<'_, '_, BOUND> { setup, offsets, levels, scratch })
+    crate::instructions::chosen().dispatch(Block::<'_, '_, BOUND> { setup, offsets, levels, scratch })
 }
 
 /// Log-likelihoods of the same candidates (at most [`LANES`]; cells of the map) under one level for several setups that differ in their
@@ -26,7 +26,7 @@ pub(in super::super) fn compare(
     level: usize,
     scratch: &mut Scratch,
 ) -> Vec<Wide> {
-    pulp::Arch::new().dispatch(Comparison { setups, offsets, level, scratch })
+    crate::instructions::chosen().dispatch(Comparison { setups, offsets, level, scratch })
 }
 
 struct Comparison<'a, 'b> {

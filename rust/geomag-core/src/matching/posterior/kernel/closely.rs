@@ -27,7 +27,7 @@ pub(in super::super) struct Detail {
 
 /// Looks closely at one candidate (cells of the map) under one error level.
 pub(in super::super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
-    pulp::Arch::new().dispatch(Single { setup, offset, level, scratch })
+    crate::instructions::chosen().dispatch(Single { setup, offset, level, scratch })
 }
 
 struct Single<'a, 'b> {
