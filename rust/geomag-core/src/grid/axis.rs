@@ -102,28 +102,33 @@ impl Axis {
     /// The cell that holds a position in cells, and the fraction within it; positions on a node give fraction 0 or 1.
     #[inline(always)]
     pub(crate) fn cell(&self, position: f64) -> Option<(usize, f64)> {
+        let (cell, fraction, inside) = self.cell_or_first(position);
+        inside.then_some((cell as usize, fraction))
+    }
+
+    /// As [`Axis::cell`], the first cell where the position is beyond the axis, and whether it is not; without a branch.
+    #[inline(always)]
+    pub(super) fn cell_or_first(&self, position: f64) -> (u32, f64, bool) {
         let last_cell = (self.len - 2) as f64;
-        if !(position >= -NODE_TOLERANCE && position <= last_cell + 1.0 + NODE_TOLERANCE) {
-            return None;
-        }
-        let (cell, fraction) = split_position(position);
-        let cell = cell as f64;
-        if cell > last_cell { Some((self.len - 2, 1.0)) } else { Some((cell.max(0.0) as usize, fraction)) }
+        let inside = (position >= -NODE_TOLERANCE) & (position <= last_cell + 1.0 + NODE_TOLERANCE);
+        let (cell, fraction) = split(if inside { position } else { 0.0 });
+        let fraction = if cell > last_cell { 1.0 } else { fraction };
+        (cell.clamp(0.0, last_cell) as u32, fraction, inside)
     }
 }
 
 /// Whole cells and fraction in [0, 1) of a position, with positions next to a node taken to be on it.
-#[inline(always)]
 pub(crate) fn split_position(position: f64) -> (i64, f64) {
+    let (cell, fraction) = split(position);
+    (cell as i64, fraction)
+}
+
+#[inline(always)]
+fn split(position: f64) -> (f64, f64) {
     let floor = position.floor();
     let fraction = position - floor;
-    if fraction <= NODE_TOLERANCE {
-        (floor as i64, 0.0)
-    } else if (position - (floor + 1.0)).abs() <= NODE_TOLERANCE {
-        (floor as i64 + 1, 0.0)
-    } else {
-        (floor as i64, fraction)
-    }
+    let (at, below) = (fraction <= NODE_TOLERANCE, (position - (floor + 1.0)).abs() <= NODE_TOLERANCE);
+    (if below & !at { floor + 1.0 } else { floor }, if at | below { 0.0 } else { fraction })
 }
 
 /// Takes out jumps of a whole turn between neighbours.
