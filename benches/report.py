@@ -25,17 +25,17 @@ over between machines, times do not.
 LIMITS = """
 ## The lattice kernel and its limit
 
-The limit of the kernel is its multiply-adds, {adds} for a vector of offsets and one sample (worked out at the head of `lattice/mod.rs`). A loop of nothing
-but independent multiply-adds of the same width takes {fma:.3f} ns each here, so the limit is {limit64:.3f} ns an offset and sample in float64
-and {limit32:.3f} in float32. Memory is read at {large:.1f} GB/s, what fits the first caches at {small:.0f} GB/s.
+The limit of the kernel is its multiply-adds, {adds} for a vector of offsets and one sample (worked out at the head of `lattice/mod.rs`), and a loop of nothing
+but independent multiply-adds of the same width, timed in the same run, tells what one takes. Each instruction set of the machine in turn, one thread; with two threads of
+{set}: {two64:.3f} ns in float64, {two32:.3f} in float32. Memory is read at {large:.1f} GB/s, what fits the first caches at {small:.0f} GB/s.
 
-| kernel | ns an offset and sample | times its limit |
-|---|---|---|
+| instruction set | ns a multiply-add | float64, ns an offset and sample | times its limit | float32 | times its limit |
+|---|---|---|---|---|---|
 """
 
 NUMBA = """
-Against a compiled Numba loop the ratio follows the vectors: the loop gathers four nodes an offset one by one and gains little from wider vectors, the kernel
-shares weights and reads whole rows. So it is about twice as far ahead where vectors have 512 bits as where they have 256; this run used {set}.
+That explains the distance from a compiled Numba loop below: it gathers the four nodes of every offset one by one and gains little from wider vectors, while the
+kernel shares weights and reads whole rows, so that its time is that of the multiply-adds.
 """
 
 
@@ -49,26 +49,27 @@ def took(seconds):
 
 def limits(record):
     """The kernels against what the machine can do."""
-    probe = record["probe"]
-    lanes = LANES[probe["instruction_set"]]
-    limit = LATTICE_MULTIPLY_ADDS * probe["multiply_add_ns"] / lanes
+    best = record["probe"][record["instruction_set"]]
     yield LIMITS.format(
         adds=LATTICE_MULTIPLY_ADDS,
-        fma=probe["multiply_add_ns"],
-        limit64=limit,
-        limit32=limit / 2,
-        large=probe["read_large_gigabytes_per_s"],
-        small=probe["read_small_gigabytes_per_s"],
+        set=record["instruction_set"],
+        two64=best["lattice_float64_2_threads_ns"],
+        two32=best["lattice_float32_2_threads_ns"],
+        large=best["read_large_gigabytes_per_s"],
+        small=best["read_small_gigabytes_per_s"],
     ).rstrip()
-    for kind, own in (("float64", limit), ("float32", limit / 2)):
-        for threads in (1, 2):
-            each = probe[f"lattice_{kind}_{threads}_threads_ns"]
-            yield f"| {kind}, {threads} thread{'s' * (threads > 1)} | {each:.3f} | {each * threads / own:.2f} |"
-    yield NUMBA.format(set=probe["instruction_set"])
+    for name, probe in record["probe"].items():
+        limit = LATTICE_MULTIPLY_ADDS * probe["multiply_add_ns"] / LANES[name]
+        double, single = (probe[f"lattice_{kind}_1_threads_ns"] for kind in ("float64", "float32"))
+        yield (
+            f"| {name} | {probe['multiply_add_ns']:.3f} | {double:.3f} | {double / limit:.2f} "
+            f"| {single:.3f} | {2 * single / limit:.2f} |"
+        )
+    yield NUMBA
     yield "| points scattered over 300 x 300 nodes | ns a point |\n|---|---|"
     for kind in ("float64", "float32"):
         for method in ("bilinear", "bicubic"):
-            yield f"| {method}, {kind} | {probe[f'sample_{method}_{kind}_ns']:.1f} |"
+            yield f"| {method}, {kind} | {best[f'sample_{method}_{kind}_ns']:.1f} |"
 
 
 def tables(record):

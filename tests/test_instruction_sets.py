@@ -54,7 +54,12 @@ print(json.dumps({"set": geomag.instruction_set, "numbers": {k: [float(v).hex() 
 def run(instruction_set, threads):
     environment = {**os.environ, "GEOMAG_INSTRUCTION_SET": instruction_set}
     done = subprocess.run(
-        [sys.executable, "-c", WORK, str(threads)], env=environment, capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", WORK, str(threads)],
+        env=environment,
+        capture_output=True,
+        check=False,
+        text=True,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
@@ -89,9 +94,12 @@ def test_sets_differ_in_the_last_digits_alone(answers):
 
 def test_a_set_that_the_machine_has_not_is_refused_by_name():
     environment = {**os.environ, "GEOMAG_INSTRUCTION_SET": "x86-64-v9"}
-    done = subprocess.run([sys.executable, "-c", "import geomag._geomag"], env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", "import geomag._geomag"], env=environment, capture_output=True, check=False, text=True
+    )
     assert done.returncode != 0
-    assert "GEOMAG_INSTRUCTION_SET" in done.stderr and "scalar" in done.stderr and "x86-64-v9" in done.stderr
+    for word in ("GEOMAG_INSTRUCTION_SET", "scalar", "x86-64-v9"):
+        assert word in done.stderr
 
 
 if __name__ == "__main__":

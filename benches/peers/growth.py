@@ -34,8 +34,9 @@ def gridded(points, side=200):
     rng = np.random.default_rng(points)
     x, y = rng.uniform(0, 4e4, (2, points))
     step = 4e4 / (side - 1)
-    axis = np.arange(side) * step
-    return best_of(lambda: _minimum_curvature(x, y, np.sin(x / 5e3), (0.0, step, side), (0.0, step, side), aspect=1.0), 0.1)[0]
+    return best_of(
+        lambda: _minimum_curvature(x, y, np.sin(x / 5e3), (0.0, step, side), (0.0, step, side), aspect=1.0), 0.1
+    )[0]
 
 
 def matched(side, samples):
@@ -67,6 +68,8 @@ def growths(smoke=False):
     points = [200, 2000, 20_000, 200_000][few]
     yield "points of survey lines gridded to 200 x 200", points, [gridded(n) for n in points]
     threads = [1, 2]
-    yield "threads of a grid search, 1001 x 1001 offsets, 100 samples", threads, [
-        searched(31 if smoke else 1001, 100, threads=n) for n in threads
-    ]
+    yield (
+        "threads of a grid search, 1001 x 1001 offsets, 100 samples",
+        threads,
+        [searched(31 if smoke else 1001, 100, threads=n) for n in threads],
+    )

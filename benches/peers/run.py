@@ -10,6 +10,7 @@ import datetime
 import importlib
 import importlib.metadata
 import json
+import math
 import os
 import platform
 import subprocess
@@ -44,10 +45,15 @@ def version(package):
 
 
 def probed(smoke):
-    """The machine's own limits and the kernels beside them, from the crate itself."""
+    """The machine's own limits and the kernels beside them, from the crate itself, for every instruction set that it has."""
     command = ["cargo", "run", "--release", "--locked", "--quiet", "-p", "geomag-benches", "--bin", "probe"]
     command += ["--", "--smoke"] if smoke else []
-    return json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout)
+    found = {}
+    for name in geomag.instruction_sets:
+        held = {**os.environ, "GEOMAG_INSTRUCTION_SET": name}
+        done = subprocess.run(command, cwd=ROOT, env=held, check=True, stdout=subprocess.PIPE, text=True)
+        found[name] = json.loads(done.stdout)
+    return found
 
 
 def main():
@@ -77,7 +83,7 @@ def main():
             took = f"{1e6 * seconds:.2f} us" if seconds < 1e-3 else f"{1e3 * seconds:.2f} ms"
             print(f"{case:<44} {what:<30} {took:>12} {each:>9.3f} {ratio:>9.2f}", flush=True)
             row = {"case": case, "what": what, "seconds": seconds, "ratio": ratio}
-            record["rows"].append(row | ({"nanoseconds_each": each} if each == each else {}))
+            record["rows"].append(row | ({} if math.isnan(each) else {"nanoseconds_each": each}))
     if not arguments.names:
         for what, sizes, seconds in importlib.import_module("growth").growths(arguments.smoke):
             print(f"{what}: " + ", ".join(f"{n}: {1e3 * s:.3g} ms" for n, s in zip(sizes, seconds, strict=True)))

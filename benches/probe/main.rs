@@ -73,7 +73,7 @@ impl pulp::WithSimd for Read<'_> {
 
 fn main() {
     let patience = Duration::from_millis(if std::env::args().any(|a| a == "--smoke") { 1 } else { 400 });
-    let arch = pulp::Arch::new();
+    let arch = instructions::chosen();
     let mut fields = vec![format!("\"instruction_set\": \"{}\"", instructions::instruction_set().unwrap())];
     let mut say = |name: &str, value: f64| fields.push(format!("\"{name}\": {value:.5}"));
 

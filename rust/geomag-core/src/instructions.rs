@@ -44,7 +44,7 @@ fn asked() -> Result<(&'static str, Arch)> {
 static CHOSEN: OnceLock<(&str, Arch)> = OnceLock::new();
 
 /// The instruction set that the kernels run with.
-pub(crate) fn chosen() -> Arch {
+pub fn chosen() -> Arch {
     CHOSEN.get_or_init(|| asked().unwrap_or(("scalar", Arch::Scalar))).1
 }
 
