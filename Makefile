@@ -63,6 +63,7 @@ lint: $(VENV)/built $(VENV)/dev stubs
 	$(BIN)/zizmor --offline --quiet .github
 
 stubs: $(VENV)/built $(VENV)/dev
+	$(BIN)/python rust/geomag-py/stub.py --check
 	$(BIN)/python -m mypy.stubtest geomag._geomag --allowlist tests/stubtest-allowlist.txt
 
 docs: $(VENV)/built $(VENV)/dev $(VENV)/site-tools

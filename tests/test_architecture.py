@@ -13,7 +13,7 @@ CORE = ROOT / "rust" / "geomag-core" / "src"
 
 #: Lowest floor first; modules of one group may use each other.
 FLOORS = [
-    {"error", "constants", "bounds"},
+    {"error", "constants", "bounds", "table"},
     {"instructions", "monitor", "random", "state", "statistics", "compensation"},
     {"frame", "field", "grid", "map_error", "gridding", "information", "stack", "track", "fix"},
     {"harmonic", "main_field", "kalman", "lattice"},

@@ -180,7 +180,7 @@ def test_a_second_field_helps(grid):
     track = flight(grid, (100, 200), n=12, sigma=2)
     values = other.sample(track.x + 100, track.y + 200)
     alone = geomag.match_posterior(grid, track, half_width=1000, sigma=2.0)
-    both = geomag.match_posterior(grid, track, half_width=1000, sigma=2.0, more=[(other, values, 2.0)])
+    both = geomag.match_posterior(grid, track, half_width=1000, sigma=2.0, channels=[(other, values, 2.0)])
     assert np.trace(both.covariance_m2) < np.trace(alone.covariance_m2)
 
 

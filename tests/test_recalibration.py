@@ -52,7 +52,7 @@ def test_the_declared_risk_is_the_line_of_the_computed_one(scene):
     assert any(f.ok for f in fixed)
     # With two maps the more careful line holds.
     both = [
-        geomag.match_posterior(m, tracks[5], more=[(plain, tracks[5].values, 1.0)], **options).risk
+        geomag.match_posterior(m, tracks[5], channels=[(plain, tracks[5].values, 1.0)], **options).risk
         for m in (plain, read)
     ]
     assert both[1] == pytest.approx(recalibrated(np.array([both[0]]), line)[0], rel=1e-9)

@@ -149,7 +149,7 @@ BY_VALUE = {
     "LocalFrame": lambda: geomag.LocalFrame(49.0, -100.0, 200.0),
     "RectangularHarmonicModel": lambda: MODEL,
     "HarmonicMap": lambda: MODEL.to_map("down", down_m=-100.0),
-    "MainFieldModel": lambda: MainFieldModel([2020.0, 2025.0], np.ones((2, 3)), np.zeros((2, 3)), degree=1),
+    "MainFieldModel": lambda: MainFieldModel([2020.0, 2025.0], np.ones((2, 2)), np.zeros((2, 2)), degree=1),
     "InsModel": geomag.InsModel.tactical,
     "MatcherPlan": geomag.MatcherPlan,
     "FieldSensor": lambda: geomag.FieldSensor(GRID),

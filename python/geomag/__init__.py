@@ -39,6 +39,7 @@ from geomag._errors import (
     UnknownVariableError,
 )
 from geomag._geomag import (
+    Acceptance,
     CorrectedPosition,
     DeltaModulator,
     ExtendedKalmanFilter,
@@ -53,6 +54,7 @@ from geomag._geomag import (
     IemaStep,
     InsFeedback,
     InsModel,
+    InsPrior,
     LocalFrame,
     MapStack,
     MatcherPlan,
@@ -63,6 +65,7 @@ from geomag._geomag import (
     PosteriorStep,
     Prediction,
     RectangularHarmonicModel,
+    SearchBox,
     SlidingContour,
     Track,
     UnscentedKalmanFilter,
@@ -106,6 +109,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "Acceptance",
     "CandidateLimitError",
     "ChosenSamples",
     "CorrectedPosition",
@@ -124,6 +128,7 @@ __all__ = [
     "IemaStep",
     "InsFeedback",
     "InsModel",
+    "InsPrior",
     "InvalidInputError",
     "LocalFrame",
     "MapStack",
@@ -143,6 +148,7 @@ __all__ = [
     "RankDeficientError",
     "ReadError",
     "RectangularHarmonicModel",
+    "SearchBox",
     "ShapeError",
     "SlidingContour",
     "StateError",

@@ -20,6 +20,7 @@ _Status: TypeAlias = Literal[
 ]
 
 _Field: TypeAlias = GridMap | HarmonicMap | MapStack
+_Channel: TypeAlias = tuple[_Field, ArrayLike, float | None]
 
 @final
 class GridMap:
@@ -1269,6 +1270,18 @@ def predict_many(
     seed: int = 0,
     progress: _Progress = None,
 ) -> list[Prediction | None]: ...
+
+@final
+class SearchBox:
+    pass
+
+@final
+class InsPrior:
+    pass
+
+@final
+class Acceptance:
+    pass
 
 @final
 class PosteriorStep:

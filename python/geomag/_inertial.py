@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError
+from geomag._geomag import InsModel
 from geomag._optional import require
 from geomag._ranges import above, at_least
 from geomag.flights import scales_m, steps_m, velocity_along
@@ -37,29 +38,6 @@ STRAPDOWN_STEP_S = 0.2
 _DEG_H = math.radians(1.0) / 3600.0
 _DEG_SQRT_H = math.radians(1.0) / 60.0
 _MICRO_G = 1e-6 * GRAVITY_M_S2
-
-
-class InsModel(Protocol):
-    """The figures of an INS that are used here: those of `geomag.InsModel`."""
-
-    @property
-    def gyro_bias_deg_h(self) -> float: ...
-    @property
-    def gyro_time_constant_s(self) -> float: ...
-    @property
-    def gyro_walk_deg_sqrt_h(self) -> float: ...
-    @property
-    def accelerometer_bias_ug(self) -> float: ...
-    @property
-    def accelerometer_time_constant_s(self) -> float: ...
-    @property
-    def velocity_walk_m_s_sqrt_h(self) -> float: ...
-    @property
-    def velocity_sigma_m_s(self) -> float: ...
-    @property
-    def tilt_sigma_mrad(self) -> float: ...
-    @property
-    def heading_sigma_mrad(self) -> float: ...
 
 
 @dataclass(frozen=True)

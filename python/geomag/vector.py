@@ -3,7 +3,7 @@
 A vector magnetometer reads three components in the vehicle's axes. With attitude they are turned into north, east, down
 (`in_ned`); without one, what no rotation changes is left: the length ``|B|``, and with an accelerometer the component along gravity B.g
 (`invariants`). Each becomes a channel beside a map of the same quantity: `component_channels` and `invariant_channels` make them
-of a rectangular harmonic model, or of three component maps, for `match_posterior(..., more=)` and `match_contour(..., channels=)`;
+of a rectangular harmonic model, or of three component maps, for `match_posterior(..., channels=)` and `match_contour(..., channels=)`;
 `geomag.FieldNavigator` takes them with `FieldSensor(model, reading=...)`.
 
 >>> import numpy as np
@@ -133,7 +133,7 @@ def component_channels(
     Returns
     -------
     list of (map, values, sigma)
-        The first one is the track's own, the others go into `more=` or `channels=`.
+        The first one is the track's own, the others go into `channels=`.
 
     Raises
     ------

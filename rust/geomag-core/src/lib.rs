@@ -9,6 +9,9 @@
 //! Conventions: x to the east, y to the north, metres on projected maps, degrees of longitude and latitude on geographic
 //! ones. Values in the map's unit. An *offset* is true minus indicated position.
 
+#[macro_use]
+mod table;
+
 pub mod bounds;
 pub mod campaign;
 pub mod compensation;

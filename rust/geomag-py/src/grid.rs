@@ -20,7 +20,7 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
     match name {
         "bilinear" => Ok(Interpolation::Bilinear),
         "bicubic" => Ok(Interpolation::Bicubic),
-        other => Err(invalid("method", "'bilinear' or 'bicubic'", format!("'{other}'"))),
+        other => Err(invalid("interpolation", "'bilinear' or 'bicubic'", format!("'{other}'"))),
     }
 }
 

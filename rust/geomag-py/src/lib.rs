@@ -8,6 +8,8 @@
 #![allow(clippy::doc_markdown, clippy::doc_link_with_quotes)]
 // The tuples of __reduce__ are spelt out where they are written.
 #![allow(clippy::type_complexity)]
+// The conversion of an option may be none: see options.rs.
+#![allow(clippy::redundant_field_names)]
 
 use geomag_core::state;
 use pyo3::prelude::*;
@@ -15,6 +17,9 @@ use pyo3::prelude::*;
 /// A filter's step is a few dozen small matrices: the system's allocator would be a quarter of it.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+#[macro_use]
+mod options;
 
 mod arrays;
 mod campaign;
@@ -80,7 +85,8 @@ mod _geomag {
     use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
     #[pymodule_export]
     use crate::posterior::{
-        PyPosteriorMatcher, PyPosteriorStep, PyPrediction, match_posterior, match_posterior_many, predict_many,
+        PyAcceptance, PyInsPrior, PyPosteriorMatcher, PyPosteriorStep, PyPrediction, PySearchBox, match_posterior,
+        match_posterior_many, predict_many,
     };
     #[pymodule_export]
     use crate::sequence::{

@@ -9,6 +9,7 @@ use geomag_core::navigation::navigator::{
     Correction, Flight, FlightInput, Indicated, InsModel, MatcherPlan, Method, Navigator, NavigatorOptions,
     NavigatorStep, Smoothing, navigate, radii_m,
 };
+use geomag_core::{ins_model, matcher_plan};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple};
 
@@ -19,293 +20,55 @@ use crate::grid::field;
 use crate::lock::Shared;
 use crate::long_call;
 
-/// The grade of an INS: how large its errors are, and how they grow.
-///
-/// Parameters
-/// ----------
-/// gyro_bias_deg_h, gyro_time_constant_s : float
-///     Standard deviation of a gyro's bias, degrees an hour, and the time over which it changes, seconds.
-/// gyro_walk_deg_sqrt_h : float
-///     Angle random walk, degrees per square root of an hour.
-/// accelerometer_bias_ug, accelerometer_time_constant_s : float
-///     Standard deviation of an accelerometer's bias, millionths of standard gravity, and the time over which it changes, seconds.
-/// velocity_walk_m_s_sqrt_h : float
-///     Velocity random walk, metres a second per square root of an hour.
-/// velocity_sigma_m_s, tilt_sigma_mrad, heading_sigma_mrad : float
-///     Standard deviations of the errors at the start: velocity (each axis, m/s), tilts and heading (milliradians).
-///
-/// Notes
-/// -----
-/// The defaults are those of `InsModel.navigation()`: about a nautical mile an hour unaided. Biases are first-order
-/// Gauss-Markov processes. Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, ch. 4 and 14.
-///
-/// Examples
-/// --------
-/// >>> import geomag
-/// >>> geomag.InsModel.tactical().gyro_bias_deg_h
-/// 1.0
-/// >>> geomag.InsModel(gyro_bias_deg_h=0.01) == geomag.InsModel.navigation()
-/// False
-#[pyclass(frozen, eq, name = "InsModel", module = "geomag")]
-#[derive(Clone, PartialEq)]
-pub struct PyInsModel {
-    inner: InsModel,
-}
+ins_model! { record_class {
+    /// The grade of an INS: how large its errors are, and how they grow.
+    ;
+    ///
+    /// Notes
+    /// -----
+    /// The defaults are those of `InsModel.navigation()`: about a nautical mile an hour unaided. Biases are first-order Gauss-Markov
+    /// processes. Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, ch. 4 and 14.
+    ///
+    /// Examples
+    /// --------
+    /// >>> import geomag
+    /// >>> geomag.InsModel.tactical().gyro_bias_deg_h
+    /// 1.0
+    /// >>> geomag.InsModel(gyro_bias_deg_h=0.01) == geomag.InsModel.navigation()
+    /// False
+    PyInsModel "InsModel" InsModel;
+    {
+        /// Navigation grade: about a nautical mile an hour unaided.
+        #[staticmethod]
+        fn navigation() -> Self {
+            Self { inner: InsModel::navigation() }
+        }
 
-#[pymethods]
-impl PyInsModel {
-    #[new]
-    #[pyo3(signature = (*, gyro_bias_deg_h = 0.02, gyro_time_constant_s = 14_400.0, gyro_walk_deg_sqrt_h = 0.003,
-                        accelerometer_bias_ug = 50.0, accelerometer_time_constant_s = 14_400.0,
-                        velocity_walk_m_s_sqrt_h = 0.01, velocity_sigma_m_s = 0.2, tilt_sigma_mrad = 0.05,
-                        heading_sigma_mrad = 1.0))]
-    #[allow(clippy::too_many_arguments)] // one each, keyword-only
-    fn new(
-        gyro_bias_deg_h: f64,
-        gyro_time_constant_s: f64,
-        gyro_walk_deg_sqrt_h: f64,
-        accelerometer_bias_ug: f64,
-        accelerometer_time_constant_s: f64,
-        velocity_walk_m_s_sqrt_h: f64,
-        velocity_sigma_m_s: f64,
-        tilt_sigma_mrad: f64,
-        heading_sigma_mrad: f64,
-    ) -> PyRes<Self> {
-        let inner = InsModel {
-            gyro_bias_deg_h,
-            gyro_time_constant_s,
-            gyro_walk_deg_sqrt_h,
-            accelerometer_bias_ug,
-            accelerometer_time_constant_s,
-            velocity_walk_m_s_sqrt_h,
-            velocity_sigma_m_s,
-            tilt_sigma_mrad,
-            heading_sigma_mrad,
-        };
-        inner.validate()?;
-        Ok(Self { inner })
+        /// Tactical grade: some tens of kilometres an hour unaided.
+        #[staticmethod]
+        fn tactical() -> Self {
+            Self { inner: InsModel::tactical() }
+        }
     }
+} }
 
-    /// Navigation grade: about a nautical mile an hour unaided.
-    #[staticmethod]
-    fn navigation() -> Self {
-        Self { inner: InsModel::navigation() }
-    }
-
-    /// Tactical grade: some tens of kilometres an hour unaided.
-    #[staticmethod]
-    fn tactical() -> Self {
-        Self { inner: InsModel::tactical() }
-    }
-
-    /// Standard deviation of a gyro's bias, degrees an hour.
-    #[getter]
-    fn gyro_bias_deg_h(&self) -> f64 {
-        self.inner.gyro_bias_deg_h
-    }
-
-    /// Time over which a gyro's bias changes, seconds.
-    #[getter]
-    fn gyro_time_constant_s(&self) -> f64 {
-        self.inner.gyro_time_constant_s
-    }
-
-    /// Angle random walk, degrees per square root of an hour.
-    #[getter]
-    fn gyro_walk_deg_sqrt_h(&self) -> f64 {
-        self.inner.gyro_walk_deg_sqrt_h
-    }
-
-    /// Standard deviation of an accelerometer's bias, millionths of standard gravity.
-    #[getter]
-    fn accelerometer_bias_ug(&self) -> f64 {
-        self.inner.accelerometer_bias_ug
-    }
-
-    /// Time over which an accelerometer's bias changes, seconds.
-    #[getter]
-    fn accelerometer_time_constant_s(&self) -> f64 {
-        self.inner.accelerometer_time_constant_s
-    }
-
-    /// Velocity random walk, metres a second per square root of an hour.
-    #[getter]
-    fn velocity_walk_m_s_sqrt_h(&self) -> f64 {
-        self.inner.velocity_walk_m_s_sqrt_h
-    }
-
-    /// Velocity error at the start, each axis, metres a second.
-    #[getter]
-    fn velocity_sigma_m_s(&self) -> f64 {
-        self.inner.velocity_sigma_m_s
-    }
-
-    /// Tilts at the start, milliradians.
-    #[getter]
-    fn tilt_sigma_mrad(&self) -> f64 {
-        self.inner.tilt_sigma_mrad
-    }
-
-    /// Heading error at the start, milliradians.
-    #[getter]
-    fn heading_sigma_mrad(&self) -> f64 {
-        self.inner.heading_sigma_mrad
-    }
-
-    /// All of them by name.
-    fn to_dict<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyDict>> {
-        let m = &self.inner;
-        let out = PyDict::new(py);
-        out.set_item("gyro_bias_deg_h", m.gyro_bias_deg_h)?;
-        out.set_item("gyro_time_constant_s", m.gyro_time_constant_s)?;
-        out.set_item("gyro_walk_deg_sqrt_h", m.gyro_walk_deg_sqrt_h)?;
-        out.set_item("accelerometer_bias_ug", m.accelerometer_bias_ug)?;
-        out.set_item("accelerometer_time_constant_s", m.accelerometer_time_constant_s)?;
-        out.set_item("velocity_walk_m_s_sqrt_h", m.velocity_walk_m_s_sqrt_h)?;
-        out.set_item("velocity_sigma_m_s", m.velocity_sigma_m_s)?;
-        out.set_item("tilt_sigma_mrad", m.tilt_sigma_mrad)?;
-        out.set_item("heading_sigma_mrad", m.heading_sigma_mrad)?;
-        Ok(out)
-    }
-
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let values = slf.get().to_dict(slf.py())?;
-        Ok((slf.get_type().getattr("_restore")?, (values,).into_pyobject(slf.py())?))
-    }
-
-    #[classmethod]
-    fn _restore<'py>(class: &Bound<'py, pyo3::types::PyType>, values: &Bound<'py, PyDict>) -> PyRes<Bound<'py, PyAny>> {
-        Ok(class.call((), Some(values))?)
-    }
-
-    fn __repr__(&self) -> String {
-        let m = &self.inner;
-        format!(
-            "InsModel(gyro {} deg/h, accelerometer {} ug, heading {} mrad)",
-            m.gyro_bias_deg_h, m.accelerometer_bias_ug, m.heading_sigma_mrad
-        )
-    }
-}
-
-/// When and how the matcher beside a `Navigator` is asked.
-///
-/// Parameters
-/// ----------
-/// every_s : float
-///     Time between two tries while the position is uncertain or in doubt, seconds.
-/// wide_every_s : float
-///     Time between two looks round while the filter tracks, seconds; inf for none.
-/// samples : int
-///     Samples of a window, at most 256.
-/// spacing_m, tolerance_m : float
-///     Distance between them, and tolerance of a fix, metres; from the map if not given.
-/// max_risk : float
-///     Greatest declared risk of a fix that is used.
-/// reach_m : float
-///     Greatest half width of a search, metres.
-///
-/// Notes
-/// -----
-/// A fix is a measurement only while the filter is lost, and a test while it tracks: two that contradict it, or one under alarm, reset position
-/// and sensor bias. Source: geomag's own.
-///
-/// Examples
-/// --------
-/// >>> import geomag
-/// >>> geomag.MatcherPlan(every_s=30.0).every_s
-/// 30.0
-#[pyclass(frozen, eq, name = "MatcherPlan", module = "geomag")]
-#[derive(Clone, PartialEq)]
-pub struct PyMatcherPlan {
-    inner: MatcherPlan,
-}
-
-#[pymethods]
-impl PyMatcherPlan {
-    #[new]
-    #[pyo3(signature = (*, every_s = 60.0, wide_every_s = 600.0, samples = 40, spacing_m = None, tolerance_m = None,
-                        max_risk = 0.01, reach_m = 40_000.0))]
-    #[allow(clippy::too_many_arguments)] // one each, keyword-only
-    fn new(
-        every_s: f64,
-        wide_every_s: f64,
-        samples: usize,
-        spacing_m: Option<f64>,
-        tolerance_m: Option<f64>,
-        max_risk: f64,
-        reach_m: f64,
-    ) -> PyRes<Self> {
-        let inner = MatcherPlan { every_s, wide_every_s, samples, spacing_m, tolerance_m, max_risk, reach_m };
-        inner.validate()?;
-        Ok(Self { inner })
-    }
-
-    /// Time between two tries, seconds.
-    #[getter]
-    fn every_s(&self) -> f64 {
-        self.inner.every_s
-    }
-
-    /// Time between two looks round, seconds.
-    #[getter]
-    fn wide_every_s(&self) -> f64 {
-        self.inner.wide_every_s
-    }
-
-    /// Samples of a window.
-    #[getter]
-    fn samples(&self) -> usize {
-        self.inner.samples
-    }
-
-    /// Distance between them, metres.
-    #[getter]
-    fn spacing_m(&self) -> Option<f64> {
-        self.inner.spacing_m
-    }
-
-    /// Tolerance of a fix, metres.
-    #[getter]
-    fn tolerance_m(&self) -> Option<f64> {
-        self.inner.tolerance_m
-    }
-
-    /// Greatest declared risk of a fix that is used.
-    #[getter]
-    fn max_risk(&self) -> f64 {
-        self.inner.max_risk
-    }
-
-    /// Greatest half width of a search, metres.
-    #[getter]
-    fn reach_m(&self) -> f64 {
-        self.inner.reach_m
-    }
-
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let (py, m) = (slf.py(), &slf.get().inner);
-        let values = (m.every_s, m.wide_every_s, m.samples, m.spacing_m, m.tolerance_m, m.max_risk, m.reach_m);
-        Ok((slf.get_type().getattr("_restore")?, values.into_pyobject(py)?))
-    }
-
-    #[staticmethod]
-    fn _restore(
-        every_s: f64,
-        wide_every_s: f64,
-        samples: usize,
-        spacing_m: Option<f64>,
-        tolerance_m: Option<f64>,
-        max_risk: f64,
-        reach_m: f64,
-    ) -> PyRes<Self> {
-        Self::new(every_s, wide_every_s, samples, spacing_m, tolerance_m, max_risk, reach_m)
-    }
-
-    fn __repr__(&self) -> String {
-        let m = &self.inner;
-        format!("MatcherPlan(every {} s, look round every {} s, {} samples)", m.every_s, m.wide_every_s, m.samples)
-    }
-}
+matcher_plan! { record_class {
+    /// When and how the matcher beside a `Navigator` is asked.
+    ;
+    ///
+    /// Notes
+    /// -----
+    /// A fix is a measurement only while the filter is lost, and a test while it tracks: two that contradict it, or one under alarm, reset
+    /// position and sensor bias. Source: geomag's own.
+    ///
+    /// Examples
+    /// --------
+    /// >>> import geomag
+    /// >>> geomag.MatcherPlan(every_s=30.0).every_s
+    /// 30.0
+    PyMatcherPlan "MatcherPlan" MatcherPlan;
+    {}
+} }
 
 /// A covariance from a number (variance on each axis) or a (2, 2) array.
 fn covariance(object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {

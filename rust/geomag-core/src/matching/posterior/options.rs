@@ -15,78 +15,102 @@ const MOST_DRIFT_M: f64 = 2e7;
 /// Largest standard deviation of a height: twice that is the highest continuation that is kept.
 const MOST_HEIGHT_M: f64 = 600.0;
 
-/// Options of the posterior matchers. [`PosteriorOptions::new`] gives defaults that need no tuning.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PosteriorOptions {
-    /// Bound of the indicated position's error, `[x, y]` map units.
-    pub half_width: [f64; 2],
-    /// Lattice step, map units; `None` chooses one and refines it around the modes that matter.
-    pub step: Option<[f64; 2]>,
-    /// A fix further than this from the truth is wrong, metres; `None` is one cell of the map.
-    pub tolerance_m: Option<f64>,
-    /// Greatest declared risk at which a fix is declared.
-    pub max_risk: f64,
-    /// Standard deviation of the constant bias of the measurement, value units; `None` is unknown without bound, 0 is no bias.
-    pub bias_sigma: Option<f64>,
-    /// Standard deviation of the step of the bias from the first straight leg to every other, value units: what a heading-dependent
-    /// field of the vehicle does.
-    pub leg_bias_sigma: f64,
-    /// Standard deviation of what a slow random walk of the bias amounts to over the track, value units.
-    pub bias_walk: f64,
-    /// Standard deviation of the height of the readings above the map, metres.
-    pub height_sigma_m: f64,
-    /// Log evidence that an effect which was not told must gain over the model as told for a fix to be rejected; infinite for no
-    /// such tests, `None` for the map's own threshold, or 6.
-    pub misfit_threshold: Option<f64>,
-    /// Standard deviation per axis of the drift of the offset from the first sample to the newest, metres.
-    pub drift_sigma_m: f64,
-    /// Standard deviation of the heading error, degrees.
-    pub heading_sigma_deg: f64,
-    /// Standard deviation of the scale error.
-    pub scale_sigma: f64,
-    /// Standard deviation of the position jitter of one sample, metres.
-    pub position_sigma_m: f64,
-    /// Degrees of freedom of the errors; `None` takes the map's own, or 3; where the sensor's error is all, 10 and the normal law, weighed,
-    /// and no sample costing more than 8. From 1000 on it is the normal law.
-    pub nu: Option<f64>,
-    /// How the map is read between its nodes. What it cannot say there is part of the error whichever is taken.
-    pub interpolation: Interpolation,
-    /// Least share of the samples that a candidate must have on the map.
-    pub min_overlap: f64,
-    /// Least p-value of the residuals with which a fix is declared.
-    pub min_goodness: f64,
-    /// Largest lattice that may be built, at most 10^8: a candidate takes some 200 bytes.
-    pub max_candidates: u64,
-    /// Whether the posterior over the first lattice is returned with the fix.
-    pub surface: bool,
+/// The options of the posterior matchers, each written once: name, kind, default, type as Python documents it, explanation. Grouped by
+/// the part of a call that they belong to. Whatever needs a list of them is a macro that is handed this one.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! posterior_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            extent [
+                (half_width: maybe_pair = None; "float or (float, float), optional";
+                    "Bound of the INS error (x, y), map units. This, `half_width_m` or a `search` is needed.")
+                (half_width_m: maybe_pair = None; "float or (float, float), optional";
+                    "The same (east, north) in metres; on a map in degrees at the middle latitude of the tracks, or of the map before there is"
+                    "one.")
+                (step_m: maybe_pair = None; "float or (float, float), optional";
+                    "`step` in metres.")
+            ]
+            search [
+                (step: maybe_pair = None; "float or (float, float), optional";
+                    "Lattice step, map units; by default chosen from the map and the tolerance, and refined around the modes that matter.")
+                (max_candidates: count = 4_000_000; "int";
+                    "Largest lattice, at most 10^8; a larger one is refused before memory is taken. A candidate takes some 200 bytes.")
+            ]
+            accept [
+                (tolerance_m: maybe_number = None; "float, optional";
+                    "A fix further than this from the truth is wrong, metres; one map cell by default.")
+                (max_risk: number = 0.01; "float";
+                    "Greatest declared risk at which an answer is a fix.")
+                (min_overlap: number = 0.8; "float";
+                    "Least share of the samples that a candidate must have on the map.")
+                (min_goodness: number = 1e-3; "float";
+                    "Least p-value of the residuals with which a fix is declared.")
+                (misfit_threshold: maybe_number = None; "float, optional";
+                    "Log evidence that an effect which was not told (height, legs, drift of the bias, scale of the readings, heading, drift)"
+                    "must gain over the model as told for a fix to be rejected, with `Fix.misfit` saying which; by default the map's own, or 6;"
+                    "infinite for no such tests.")
+            ]
+            prior [
+                (drift_sigma_m: number = 0.0; "float";
+                    "Standard deviation per axis of the drift of the offset from the first sample to the newest, metres.")
+                (heading_sigma_deg: number = 0.0; "float";
+                    "Standard deviation of the heading error of the track, degrees.")
+                (scale_sigma: number = 0.0; "float";
+                    "Standard deviation of the scale error of the track.")
+                (position_sigma_m: number = 0.0; "float";
+                    "Standard deviation of the position jitter of one sample, metres.")
+            ]
+            reading [
+                (bias_sigma: maybe_number = None; "float, optional";
+                    "Standard deviation of the constant bias of the readings, value units; None is unknown without bound, 0 is no bias.")
+                (leg_bias_sigma: number = 0.0; "float";
+                    "Standard deviation of the step of the bias from the first straight leg to every other, value units: what a field of the"
+                    "vehicle that changes with its heading does.")
+                (bias_walk: number = 0.0; "float";
+                    "Standard deviation of what a slow random walk of the bias amounts to over the track, value units.")
+                (height_sigma_m: number = 0.0; "float";
+                    "Standard deviation of the height of the readings above the map, metres, at most 600: the map is continued to a few"
+                    "heights.")
+                (nu: maybe_number = None; "float, optional";
+                    "Degrees of freedom of the errors; by default the map's own, or 3; where the sensor's error is all, 10 and the normal law,"
+                    "weighed, and no sample costing more than 8. From 1000 on it is the normal law.")
+                (interpolation: interpolation = "bilinear"; "{'bilinear', 'bicubic'}";
+                    "How the map is read between its nodes. What it cannot say there, the difference of the two and more, is part of the error"
+                    "whichever is taken; name the one that made the readings, or that is nearer to the field.")
+            ]
+        }
+    };
 }
 
-impl PosteriorOptions {
-    /// Defaults for a start known to within `half_width` map units.
-    pub fn new(half_width: [f64; 2]) -> Self {
-        Self {
-            half_width,
-            step: None,
-            tolerance_m: None,
-            max_risk: 0.01,
-            bias_sigma: None,
-            leg_bias_sigma: 0.0,
-            bias_walk: 0.0,
-            height_sigma_m: 0.0,
-            misfit_threshold: None,
-            drift_sigma_m: 0.0,
-            heading_sigma_deg: 0.0,
-            scale_sigma: 0.0,
-            position_sigma_m: 0.0,
-            nu: None,
-            interpolation: Interpolation::Bilinear,
-            min_overlap: 0.8,
-            min_goodness: 1e-3,
-            max_candidates: 4_000_000,
-            surface: false,
+macro_rules! options_struct {
+    (
+        extent $extent:tt
+        $($part:ident [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*])*
+    ) => {
+        /// Options of the posterior matchers. [`PosteriorOptions::new`] gives defaults that need no tuning.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub struct PosteriorOptions {
+            /// Bound of the indicated position's error, `[x, y]` map units.
+            pub half_width: [f64; 2],
+            $($($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*)*
+            /// Whether the posterior over the first lattice is returned with the fix.
+            pub surface: bool,
         }
-    }
 
+        impl PosteriorOptions {
+            /// Defaults for a start known to within `half_width` map units.
+            pub fn new(half_width: [f64; 2]) -> Self {
+                Self { half_width, $($($name: option_default!($kind $default),)*)* surface: false }
+            }
+        }
+    };
+}
+
+posterior_options!(options_struct);
+
+impl PosteriorOptions {
     /// Checks the ranges of all options.
     ///
     /// # Errors

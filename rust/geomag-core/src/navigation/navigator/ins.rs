@@ -1,61 +1,56 @@
 //! What is known of an inertial navigation system: how large its errors are, and how they grow.
 
-use serde::{Deserialize, Serialize};
-
 use crate::error::{Result, require_not_negative, require_positive};
 
 /// Standard gravity, metres a second squared.
 pub const GRAVITY_M_S2: f64 = 9.806_65;
 
-/// The grade of an INS: sensor biases (first-order Gauss-Markov), random walks, and errors after alignment.
-///
-/// ```
-/// use geomag_core::navigation::navigator::InsModel;
-/// assert_eq!(InsModel::navigation().gyro_bias_deg_h, 0.02);
-/// assert!(InsModel { gyro_bias_deg_h: -1.0, ..InsModel::tactical() }.validate().is_err());
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct InsModel {
-    /// Standard deviation of a gyro's bias, degrees an hour.
-    pub gyro_bias_deg_h: f64,
-    /// Time over which it changes, seconds.
-    pub gyro_time_constant_s: f64,
-    /// Angle random walk, degrees per square root of an hour.
-    pub gyro_walk_deg_sqrt_h: f64,
-    /// Standard deviation of an accelerometer's bias, millionths of standard gravity.
-    pub accelerometer_bias_ug: f64,
-    /// Time over which it changes, seconds.
-    pub accelerometer_time_constant_s: f64,
-    /// Velocity random walk, metres a second per square root of an hour.
-    pub velocity_walk_m_s_sqrt_h: f64,
-    /// Standard deviation of the velocity error at the start, each axis, metres a second.
-    pub velocity_sigma_m_s: f64,
-    /// Standard deviation of the tilts at the start, milliradians.
-    pub tilt_sigma_mrad: f64,
-    /// Standard deviation of the heading error at the start, milliradians.
-    pub heading_sigma_mrad: f64,
+/// The grade of an INS, an error a row; see `table.rs`. The defaults are navigation grade.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! ins_model {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            errors [
+                (gyro_bias_deg_h: number = 0.02; "float";
+                    "Standard deviation of a gyro's bias, degrees an hour.")
+                (gyro_time_constant_s: number = 14400.0; "float";
+                    "Time over which a gyro's bias changes, seconds.")
+                (gyro_walk_deg_sqrt_h: number = 0.003; "float";
+                    "Angle random walk, degrees per square root of an hour.")
+                (accelerometer_bias_ug: number = 50.0; "float";
+                    "Standard deviation of an accelerometer's bias, millionths of standard gravity.")
+                (accelerometer_time_constant_s: number = 14400.0; "float";
+                    "Time over which an accelerometer's bias changes, seconds.")
+                (velocity_walk_m_s_sqrt_h: number = 0.01; "float";
+                    "Velocity random walk, metres a second per square root of an hour.")
+                (velocity_sigma_m_s: number = 0.2; "float";
+                    "Standard deviation of the velocity error at the start, each axis, metres a second.")
+                (tilt_sigma_mrad: number = 0.05; "float";
+                    "Standard deviation of the tilts at the start, milliradians.")
+                (heading_sigma_mrad: number = 1.0; "float";
+                    "Standard deviation of the heading error at the start, milliradians.")
+            ]
+        }
+    };
 }
 
-impl Default for InsModel {
-    fn default() -> Self {
-        Self::navigation()
-    }
-}
+ins_model! { record {
+    /// The grade of an INS: sensor biases (first-order Gauss-Markov), random walks, and errors after alignment.
+    ///
+    /// ```
+    /// use geomag_core::navigation::navigator::InsModel;
+    /// assert_eq!(InsModel::navigation().gyro_bias_deg_h, 0.02);
+    /// assert!(InsModel { gyro_bias_deg_h: -1.0, ..InsModel::tactical() }.validate().is_err());
+    /// ```
+    InsModel
+} }
 
 impl InsModel {
-    /// An INS of navigation grade: about one nautical mile an hour unaided.
+    /// An INS of navigation grade: about one nautical mile an hour unaided. The defaults.
     pub fn navigation() -> Self {
-        Self {
-            gyro_bias_deg_h: 0.02,
-            gyro_time_constant_s: 14_400.0,
-            gyro_walk_deg_sqrt_h: 0.003,
-            accelerometer_bias_ug: 50.0,
-            accelerometer_time_constant_s: 14_400.0,
-            velocity_walk_m_s_sqrt_h: 0.01,
-            velocity_sigma_m_s: 0.2,
-            tilt_sigma_mrad: 0.05,
-            heading_sigma_mrad: 1.0,
-        }
+        Self::default()
     }
 
     /// An INS of tactical grade: some tens of kilometres an hour unaided.

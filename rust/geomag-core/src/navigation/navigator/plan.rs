@@ -1,44 +1,41 @@
 //! When and how the matcher beside the filter is asked.
 
-use serde::{Deserialize, Serialize};
-
 use crate::error::{Result, require_count, require_not_negative, require_positive};
 
 /// Most samples of a window.
 pub(super) const MOST: usize = 256;
 
-/// When and how the matcher is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct MatcherPlan {
-    /// Time between two tries while the position is uncertain or in doubt, seconds.
-    pub every_s: f64,
-    /// Time between two looks round while the filter tracks, seconds; infinite for none.
-    pub wide_every_s: f64,
-    /// Samples of a window.
-    pub samples: usize,
-    /// Distance between them, metres; `None` asks the map.
-    pub spacing_m: Option<f64>,
-    /// Tolerance of a fix, metres; `None` asks the map.
-    pub tolerance_m: Option<f64>,
-    /// Greatest declared risk of a fix that is used.
-    pub max_risk: f64,
-    /// Greatest half width of a search, metres.
-    pub reach_m: f64,
+/// When and how the matcher beside the filter is asked, a setting a row; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! matcher_plan {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            plan [
+                (every_s: number = 60.0; "float";
+                    "Time between two tries while the position is uncertain or in doubt, seconds.")
+                (wide_every_s: number = 600.0; "float";
+                    "Time between two looks round while the filter tracks, seconds; infinite for none.")
+                (samples: size = 40; "int";
+                    "Samples of a window, at most 256.")
+                (spacing_m: maybe_number = None; "float, optional";
+                    "Distance between the samples of a window, metres; from the map by default.")
+                (tolerance_m: maybe_number = None; "float, optional";
+                    "Tolerance of the matcher's fix, metres; from the map by default.")
+                (max_risk: number = 0.01; "float";
+                    "Greatest declared risk of a fix that is used.")
+                (reach_m: number = 40000.0; "float";
+                    "Greatest half width of a search, metres.")
+            ]
+        }
+    };
 }
 
-impl Default for MatcherPlan {
-    fn default() -> Self {
-        Self {
-            every_s: 60.0,
-            wide_every_s: 600.0,
-            samples: 40,
-            spacing_m: None,
-            tolerance_m: None,
-            max_risk: 0.01,
-            reach_m: 40_000.0,
-        }
-    }
-}
+matcher_plan! { record {
+    /// When and how the matcher is asked.
+    MatcherPlan
+} }
 
 impl MatcherPlan {
     /// Checks the ranges of the numbers.

@@ -1,0 +1,130 @@
+//! What a row of a table of options becomes in Python: an argument, its conversion, its line in a docstring, a field of a frozen object.
+
+use pyo3::prelude::*;
+
+use crate::arrays::pair;
+use crate::error::PyRes;
+
+/// A row as numpydoc has it.
+macro_rules! row_doc {
+    ($name:ident; $python:literal; $($line:literal)+) => { concat!(stringify!($name), " : ", $python $(, "\n    ", $line)+) };
+}
+
+/// The type that is extracted from Python.
+macro_rules! py_type {
+    (number) => { f64 };
+    (maybe_number) => { Option<f64> };
+    (maybe_pair) => { Option<Py<PyAny>> };
+    (count) => { u64 };
+    (size) => { usize };
+    (interpolation) => { &str };
+}
+
+/// The type that Python is answered with.
+macro_rules! answered_type {
+    (number) => { f64 };
+    (maybe_number) => { Option<f64> };
+    (maybe_pair) => { Option<(f64, f64)> };
+    (count) => { u64 };
+    (size) => { usize };
+}
+
+/// The core's value of an argument.
+macro_rules! py_value {
+    ($py:ident maybe_pair $name:ident) => {
+        $crate::options::maybe_pair($py, stringify!($name), $name.as_ref())?
+    };
+    ($py:ident interpolation $name:ident) => {
+        $crate::options::interpolation($name)?
+    };
+    ($py:ident $kind:ident $name:ident) => {
+        $name
+    };
+}
+
+/// Python's value of a field.
+macro_rules! answered {
+    (maybe_pair $value:expr) => {
+        $value.map(|[x, y]| (x, y))
+    };
+    ($kind:ident $value:expr) => {
+        $value
+    };
+}
+
+/// A frozen object of Python with a property a row, over a struct with a field a row and a `validate`.
+macro_rules! record_class {
+    (
+        { $(#[$meta:meta])*; $(#[$after:meta])* $class:ident $called:literal $inner:ident; { $($methods:tt)* } }
+        $($part:ident [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*])*
+    ) => {
+        $(#[$meta])*
+        ///
+        /// Parameters
+        /// ----------
+        $($(#[doc = row_doc!($name; $python; $($line)+)])*)*
+        $(#[$after])*
+        #[pyclass(frozen, eq, name = $called, module = "geomag")]
+        #[derive(Clone, PartialEq)]
+        pub struct $class {
+            pub inner: $inner,
+        }
+
+        #[pymethods]
+        impl $class {
+            #[new]
+            #[pyo3(signature = (*, $($($name = $default,)*)*))]
+            #[allow(clippy::too_many_arguments)] // one each, keyword-only
+            fn new(py: Python<'_>, $($($name: py_type!($kind),)*)*) -> PyRes<Self> {
+                // Extents alone need the interpreter.
+                let _ = py;
+                let inner = $inner { $($($name: py_value!(py $kind $name),)*)* };
+                inner.validate()?;
+                Ok(Self { inner })
+            }
+
+            $($(
+                $(#[doc = $line])+
+                #[getter]
+                fn $name(&self) -> answered_type!($kind) {
+                    answered!($kind self.inner.$name)
+                }
+            )*)*
+
+            /// All of them by name.
+            fn to_dict<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, pyo3::types::PyDict>> {
+                let out = pyo3::types::PyDict::new(py);
+                $($(out.set_item(stringify!($name), self.$name())?;)*)*
+                Ok(out)
+            }
+
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, pyo3::types::PyTuple>)> {
+                let values = slf.get().to_dict(slf.py())?;
+                Ok((slf.get_type().getattr("_restore")?, (values,).into_pyobject(slf.py())?))
+            }
+
+            #[classmethod]
+            fn _restore<'py>(
+                class: &Bound<'py, pyo3::types::PyType>,
+                values: &Bound<'py, pyo3::types::PyDict>,
+            ) -> PyRes<Bound<'py, PyAny>> {
+                Ok(class.call((), Some(values))?)
+            }
+
+            fn __repr__(&self, py: Python<'_>) -> PyRes<String> {
+                let said = |(name, value): (Bound<'_, PyAny>, Bound<'_, PyAny>)| Ok(format!("{name}={}", value.repr()?));
+                let fields = self.to_dict(py)?.iter().filter(|(_, v)| !v.is_none()).map(said).collect::<PyResult<Vec<_>>>()?;
+                Ok(format!("{}({})", $called, fields.join(", ")))
+            }
+
+            $($methods)*
+        }
+    };
+}
+
+/// A pair in Python, where there is one.
+pub fn maybe_pair(py: Python<'_>, name: &str, given: Option<&Py<PyAny>>) -> PyRes<Option<[f64; 2]>> {
+    given.map(|value| pair(name, value.bind(py))).transpose()
+}
+
+pub use crate::grid::interpolation;

@@ -1,0 +1,12 @@
+//! Calibrated matching.
+
+mod calls;
+mod matching;
+mod prediction;
+mod streaming;
+
+pub use calls::{
+    PyAcceptance, PyInsPrior, PyPosteriorMatcher, PySearchBox, match_posterior, match_posterior_many, predict_many,
+};
+pub use prediction::PyPrediction;
+pub use streaming::PyPosteriorStep;
