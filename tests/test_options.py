@@ -50,7 +50,7 @@ def test_an_option_stands_in_one_place(table):
     assert len(found) > 10
     texts = list(sources())
     for name, _, lines in found:
-        for line in lines:
+        for line in (line for line in lines if len(line) > 25):  # the rest of a sentence may stand anywhere
             places = [str(path.relative_to(ROOT)) for path, text in texts if line in text]
             assert places == [table], f"{name}: its explanation stands in {places}"
     # A signature with its default is written nowhere else; the stub is made of it.
@@ -77,7 +77,7 @@ def test_the_stub_says_what_the_module_says():
     spec.loader.exec_module(stub)
     text = stub.STUB.read_text(encoding="utf-8")
     assert stub.written(text) == text, "run rust/geomag-py/stub.py"
-    bent = text.replace("max_risk: float = 0.01", "max_risk: float = 0.02", 1)
+    bent = text.replace("leg_bias_sigma: float = 0.0", "leg_bias_sigma: float = 0.5", 1)
     assert bent != text
     assert stub.written(bent) == text
 

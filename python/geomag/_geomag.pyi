@@ -600,10 +600,12 @@ class InsModel:
     def tilt_sigma_mrad(self) -> float: ...
     @property
     def heading_sigma_mrad(self) -> float: ...
-    def to_dict(self) -> dict[str, float]: ...
+    def to_dict(self) -> dict[str, Any]: ...
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
+    @classmethod
+    def _restore(cls, values: dict[str, Any]) -> InsModel: ...
 
 @final
 class MatcherPlan:
@@ -632,9 +634,12 @@ class MatcherPlan:
     def max_risk(self) -> float: ...
     @property
     def reach_m(self) -> float: ...
+    def to_dict(self) -> dict[str, Any]: ...
     def __eq__(self, other: object, /) -> bool: ...
     def __ne__(self, other: object, /) -> bool: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
+    @classmethod
+    def _restore(cls, values: dict[str, Any]) -> MatcherPlan: ...
 
 class _NavigatorTuning(TypedDict, total=False):
     start: _Pair | None
@@ -1204,84 +1209,181 @@ def match_posterior(
     grid: _Field,
     track: Track,
     *,
-    half_width: _Pair,
+    half_width: _Pair | None = None,
+    half_width_m: _Pair | None = None,
+    step_m: _Pair | None = None,
     sigma: float | None = None,
+    step: _Pair | None = None,
+    max_candidates: int = 4_000_000,
     tolerance_m: float | None = None,
     max_risk: float = 0.01,
-    step: _Pair | None = None,
-    bias_sigma: float | None = None,
-    leg_bias_sigma: float = 0.0,
-    bias_walk: float = 0.0,
-    height_sigma_m: float = 0.0,
+    min_overlap: float = 0.8,
+    min_goodness: float = 0.001,
+    misfit_threshold: float | None = None,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     position_sigma_m: float = 0.0,
+    bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     nu: float | None = None,
-    interpolation: str = "bilinear",
-    misfit_threshold: float | None = None,
-    min_overlap: float = 0.8,
-    min_goodness: float = 0.001,
-    max_candidates: int = 4_000_000,
+    interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+    search: SearchBox | None = None,
+    prior: InsPrior | None = None,
+    accept: Acceptance | None = None,
     surface: bool = False,
-    more: Sequence[tuple[_Field, ArrayLike, float | None]] | None = None,
+    channels: Sequence[_Channel] | None = None,
+    threads: int | None = None,
+    more: Sequence[_Channel] | None = None,
 ) -> Fix: ...
 def match_posterior_many(
     grid: _Field,
     tracks: Sequence[Track],
     *,
-    half_width: _Pair,
+    half_width: _Pair | None = None,
+    half_width_m: _Pair | None = None,
+    step_m: _Pair | None = None,
     sigma: float | None = None,
+    step: _Pair | None = None,
+    max_candidates: int = 4_000_000,
     tolerance_m: float | None = None,
     max_risk: float = 0.01,
-    step: _Pair | None = None,
-    bias_sigma: float | None = None,
-    leg_bias_sigma: float = 0.0,
-    bias_walk: float = 0.0,
-    height_sigma_m: float = 0.0,
+    min_overlap: float = 0.8,
+    min_goodness: float = 0.001,
+    misfit_threshold: float | None = None,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
     position_sigma_m: float = 0.0,
+    bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     nu: float | None = None,
-    interpolation: str = "bilinear",
-    misfit_threshold: float | None = None,
-    min_overlap: float = 0.8,
-    min_goodness: float = 0.001,
-    max_candidates: int = 4_000_000,
+    interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+    search: SearchBox | None = None,
+    prior: InsPrior | None = None,
+    accept: Acceptance | None = None,
     streaming: bool = False,
+    threads: int | None = None,
     progress: _Progress = None,
 ) -> list[Fix]: ...
 def predict_many(
     grid: _Field,
     tracks: Sequence[Track],
     *,
-    half_width: _Pair,
+    half_width: _Pair | None = None,
+    half_width_m: _Pair | None = None,
+    step_m: _Pair | None = None,
     sigma: float | None = None,
+    step: _Pair | None = None,
+    max_candidates: int = 4_000_000,
     tolerance_m: float | None = None,
     max_risk: float = 0.01,
-    bias_sigma: float | None = None,
+    min_overlap: float = 0.8,
+    min_goodness: float = 0.001,
+    misfit_threshold: float | None = None,
     drift_sigma_m: float = 0.0,
     heading_sigma_deg: float = 0.0,
     scale_sigma: float = 0.0,
+    position_sigma_m: float = 0.0,
+    bias_sigma: float | None = None,
+    leg_bias_sigma: float = 0.0,
+    bias_walk: float = 0.0,
+    height_sigma_m: float = 0.0,
     nu: float | None = None,
-    interpolation: str = "bilinear",
+    interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+    search: SearchBox | None = None,
+    prior: InsPrior | None = None,
+    accept: Acceptance | None = None,
     flights: int = 20,
     seed: int = 0,
+    threads: int | None = None,
     progress: _Progress = None,
 ) -> list[Prediction | None]: ...
 
 @final
 class SearchBox:
-    pass
+    def __new__(
+        cls,
+        *,
+        half_width: _Pair | None = None,
+        half_width_m: _Pair | None = None,
+        step_m: _Pair | None = None,
+        step: _Pair | None = None,
+        max_candidates: int = 4_000_000,
+    ) -> SearchBox: ...
+    @property
+    def half_width(self) -> tuple[float, float] | None: ...
+    @property
+    def half_width_m(self) -> tuple[float, float] | None: ...
+    @property
+    def step_m(self) -> tuple[float, float] | None: ...
+    @property
+    def step(self) -> tuple[float, float] | None: ...
+    @property
+    def max_candidates(self) -> int: ...
+    def to_dict(self) -> dict[str, Any]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @classmethod
+    def _restore(cls, values: dict[str, Any]) -> SearchBox: ...
 
 @final
 class InsPrior:
-    pass
+    def __new__(
+        cls,
+        *,
+        drift_sigma_m: float = 0.0,
+        heading_sigma_deg: float = 0.0,
+        scale_sigma: float = 0.0,
+        position_sigma_m: float = 0.0,
+    ) -> InsPrior: ...
+    @property
+    def drift_sigma_m(self) -> float: ...
+    @property
+    def heading_sigma_deg(self) -> float: ...
+    @property
+    def scale_sigma(self) -> float: ...
+    @property
+    def position_sigma_m(self) -> float: ...
+    def to_dict(self) -> dict[str, Any]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @classmethod
+    def _restore(cls, values: dict[str, Any]) -> InsPrior: ...
 
 @final
 class Acceptance:
-    pass
+    def __new__(
+        cls,
+        *,
+        tolerance_m: float | None = None,
+        max_risk: float = 0.01,
+        min_overlap: float = 0.8,
+        min_goodness: float = 0.001,
+        misfit_threshold: float | None = None,
+    ) -> Acceptance: ...
+    @property
+    def tolerance_m(self) -> float | None: ...
+    @property
+    def max_risk(self) -> float: ...
+    @property
+    def min_overlap(self) -> float: ...
+    @property
+    def min_goodness(self) -> float: ...
+    @property
+    def misfit_threshold(self) -> float | None: ...
+    def to_dict(self) -> dict[str, Any]: ...
+    def __eq__(self, other: object, /) -> bool: ...
+    def __ne__(self, other: object, /) -> bool: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+    @classmethod
+    def _restore(cls, values: dict[str, Any]) -> Acceptance: ...
 
 @final
 class PosteriorStep:
@@ -1302,25 +1404,30 @@ class PosteriorMatcher:
         cls,
         grid: _Field,
         *,
-        half_width: _Pair,
+        half_width: _Pair | None = None,
+        half_width_m: _Pair | None = None,
+        step_m: _Pair | None = None,
         sigma: float | None = None,
+        step: _Pair | None = None,
+        max_candidates: int = 4_000_000,
         tolerance_m: float | None = None,
         max_risk: float = 0.01,
-        step: _Pair | None = None,
-        bias_sigma: float | None = None,
-        leg_bias_sigma: float = 0.0,
-        bias_walk: float = 0.0,
-        height_sigma_m: float = 0.0,
+        min_overlap: float = 0.8,
+        min_goodness: float = 0.001,
+        misfit_threshold: float | None = None,
         drift_sigma_m: float = 0.0,
         heading_sigma_deg: float = 0.0,
         scale_sigma: float = 0.0,
         position_sigma_m: float = 0.0,
+        bias_sigma: float | None = None,
+        leg_bias_sigma: float = 0.0,
+        bias_walk: float = 0.0,
+        height_sigma_m: float = 0.0,
         nu: float | None = None,
-        interpolation: str = "bilinear",
-        misfit_threshold: float | None = None,
-        min_overlap: float = 0.8,
-        min_goodness: float = 0.001,
-        max_candidates: int = 4_000_000,
+        interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+        search: SearchBox | None = None,
+        prior: InsPrior | None = None,
+        accept: Acceptance | None = None,
         max_samples: int = 200,
     ) -> PosteriorMatcher: ...
     def update(self, x: float, y: float, value: float, height_m: float | None = None) -> PosteriorStep: ...
