@@ -4,11 +4,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUST := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 
-.PHONY: demo test test-rust test-python bench bench-smoke lint stubs docs build clean help
+.PHONY: fuzz-readers demo test test-rust test-python bench bench-smoke lint stubs docs build clean help
 
 help:
 	@echo "make demo   build everything and do the main job, with a picture in out/"
 	@echo "make test   all tests, Rust and Python"
+	@echo "make fuzz-readers   mutated inputs for all readers: 10^6 each for text, 10^5 for grids (about an hour)"
 	@echo "make bench  criterion benches and the side-by-side tables, kept and written up in docs/reports/benchmarks.md"
 	@echo "make lint   formatting, clippy, ruff, mypy, stubs against the module"
 	@echo "make docs   the site, with the API of both languages"
@@ -44,6 +45,12 @@ test-rust:
 
 test-python: $(VENV)/built $(VENV)/dev
 	$(BIN)/python -m pytest
+
+# Goes on where it was stopped; `make fuzz-readers SHARE=0.01` is a short form.
+SHARE ?= 1
+fuzz-readers: $(VENV)/built $(VENV)/dev
+	@mkdir -p out
+	$(BIN)/python tests/fuzzing.py all --share $(SHARE) --record out/fuzz-readers.json
 
 bench: $(VENV)/built $(VENV)/dev
 	cargo bench --locked

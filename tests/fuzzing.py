@@ -175,7 +175,7 @@ def lines(data: bytes, folder: Path) -> np.ndarray:
     path = folder / "lines.txt"
     path.write_bytes(data)
     points, _, _ = line_points(path, None, None, None, None, False if b"Line" in data else None)
-    return np.concatenate([points.values, points.y, points.x[np.abs(points.x) <= 180.0]])
+    return np.concatenate([points.values, points.y])  # longitudes are put on one turn
 
 
 def iaga(data: bytes, folder: Path) -> np.ndarray:
@@ -422,20 +422,22 @@ def run(kind: str, first: int, count: int, told: Callable[[int], None] = lambda 
     return wrong
 
 
-def everything(record: Path, share: float, only: list[str], chunk: int = 50_000) -> int:
-    """Every reader to its full count (times `share`), each piece in a process of its own, which may crash or hang without ending the rest."""
+def everything(record: Path, share: float, only: list[str], chunk: int) -> int:
+    """Every reader to its full count (times `share`), a piece of each in turn, in processes that may crash or hang without ending the rest."""
     kept = json.loads(record.read_text()) if record.exists() else {}
-    for kind, full in [*((k, 1_000_000) for k in TEXT), *((k, 100_000) for k in GRIDS)]:
-        if only and kind not in only:
-            continue
-        state = kept.setdefault(kind, {"inputs": 0, "seconds": 0.0, "wrong": []})
-        while state["inputs"] < math.ceil(share * full):
-            count = min(chunk, math.ceil(share * full) - state["inputs"])
-            at = record.with_name(record.name + ".at")
+    full = {k: math.ceil(share * n) for kinds, n in ((TEXT, 1_000_000), (GRIDS, 100_000)) for k in kinds}
+    full = {k: n for k, n in full.items() if not only or k in only}
+    for kind in full:
+        kept.setdefault(kind, {"inputs": 0, "seconds": 0.0, "wrong": []})
+    at = record.with_name(record.name + ".at")
+    while left := {k: n - kept[k]["inputs"] for k, n in full.items() if kept[k]["inputs"] < n}:
+        for kind, more in left.items():
+            state = kept[kind]
+            # Text is to be fed ten times as much, and costs a tenth.
+            count = min(more, chunk if kind in TEXT else chunk // 10)
             before = os.times()
             done = subprocess.run(
-                [sys.executable, __file__, kind, str(count), str(state["inputs"]), "--at", str(at)], capture_output=True, text=True,
-                timeout=count * 1.0 + 600, check=False,
+                [sys.executable, __file__, kind, str(count), str(state["inputs"]), "--at", str(at)], capture_output=True, text=True, check=False,
             )  # fmt: skip
             after = os.times()
             state["seconds"] += (
@@ -448,7 +450,9 @@ def everything(record: Path, share: float, only: list[str], chunk: int = 50_000)
                 seed = int(at.read_text())
                 state["wrong"].append(f"seed {seed}: the process ended with {done.returncode}: {done.stderr[-300:]}")
                 state["inputs"] = seed + 1
-            record.write_text(json.dumps(kept, indent=1))
+            part = record.with_name(record.name + ".part")
+            part.write_text(json.dumps(kept, indent=1))
+            part.replace(record)
     for kind, state in kept.items():
         sys.stdout.write(
             f"{kind:8} {state['inputs']:9,} inputs  {state['seconds']:7.0f} s  {len(state['wrong'])} wrong\n"
@@ -467,10 +471,11 @@ def main() -> int:
     )
     asked.add_argument("--share", type=float, default=1.0, help="with 'all': part of the full counts")
     asked.add_argument("--only", nargs="+", default=[], help="with 'all': these readers")
+    asked.add_argument("--chunk", type=int, default=50_000, help="with 'all': inputs of a text reader in one turn")
     asked.add_argument("--at", type=Path, help="file for the seed that is being tried")
     given = asked.parse_args()
     if given.kind == "all":
-        return everything(given.record, given.share, given.only)
+        return everything(given.record, given.share, given.only, given.chunk)
     file = None if given.at is None else os.open(given.at, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     wrong = run(
         given.kind,

@@ -74,31 +74,7 @@ def commands(body: str) -> list[str]:
     return [line[2:] for line in joined.splitlines() if line.startswith("$ ")]
 
 
-def write_logs() -> None:
-    """The files that the page of logs reads, made by the writers of test_logs.py."""
-    import h5py
-    import test_logs as made
-
-    here = Path()
-    made.ulog(here / "flight.ulg")
-    made.dataflash(here / "log.bin")
-    made.bag(here / "flight_bag", 2)
-    body = "GPGGA,120000.00,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,"
-    checksum = 0
-    for byte in body.encode():
-        checksum ^= byte
-    Path("log.nmea").write_text(f"${body}*{checksum:02X}\n$PGMAG,48650.1\n", encoding="ascii")
-    with h5py.File("flight.h5", "w") as file:
-        for name, values in {"tt": made.T_S, "lon": made.LONGITUDE, "lat": made.LATITUDE, "ins_lon": made.LONGITUDE,
-                             "ins_lat": made.LATITUDE, "mag_1_c": made.FIELD_NT}.items():  # fmt: skip
-            file[name] = values
-    rows = ("SURVEY_ID TIMEZONE DATE TIME LAT LON MAG_TOT FREEAIR", "A 0 19910812 2359.5 18.85 -155.32 45123.4 -12.3")
-    Path("leg.m77t").write_text("\n".join(r.replace(" ", "\t") for r in rows) + "\n", encoding="ascii")
-
-
 def run_page(page: Path) -> None:
-    if page.name == "logs.md":
-        write_logs()
     os.environ.setdefault("MPLBACKEND", "Agg")
     namespace: dict[str, object] = {"__name__": "__docs__"}
     exec(SCENES.get(page.name, ""), namespace)

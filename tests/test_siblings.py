@@ -357,3 +357,68 @@ def test_sentences(lines, right, told):
     assert [(s.value, s.time_s) for s in got] == right
     assert [(round(s.x, 4), round(s.y, 4)) for s in got][:1] == [(11.5167, 48.1173)]
     assert len(caught) == told
+
+
+def utm(tmp_path, crs="EPSG:32633"):
+    axis = np.arange(0.0, 12_000.0, 100.0)
+    field = 90 * np.sin(axis / 700)[None, :] * np.cos(axis / 900)[:, None] + 40 * np.sin(axis / 400)[:, None]
+    grid = geomag.GridMap(field, 500_000 + axis, 5_200_000 + axis, sigma=1.0, units="nT", crs=crs)
+    grid.save(tmp_path / "map.nc")
+    return grid
+
+
+def in_degrees(x, y):
+    pyproj = pytest.importorskip("pyproj", reason="needs the extra 'geo'")
+    return pyproj.Transformer.from_crs("EPSG:32633", "EPSG:4326", always_xy=True).transform(x, y)
+
+
+@pytest.mark.parametrize("command", ["match", "stream", "navigate", "navigate -"])
+def test_degrees_on_a_map_in_metres(tmp_path, capsys, monkeypatch, command):
+    """Every command that takes positions turns degrees by the map's system, and refuses them where it has none; a stream and a flight took them for metres."""
+    pytest.importorskip("typer", reason="needs the extra 'cli'")
+    import io
+
+    from geomag.cli import run
+
+    grid = utm(tmp_path)
+    k = np.arange(60)
+    x, y = 503_000 + 90.0 * k, 5_203_000 + 70.0 * k
+    values = grid.sample(x, y)
+    for header, px, py in (
+        ("time_s,easting,northing,value", x - 150, y + 90),
+        ("time_s,lon,lat,value", *in_degrees(x - 150, y + 90)),
+    ):
+        lines = [header, *(f"{2 * t},{a:.9f},{b:.9f},{v:.3f}" for t, a, b, v in zip(k, px, py, values, strict=True))]
+        text = "\n".join(lines) + "\n"
+        (tmp_path / "log.csv").write_text(text)
+        monkeypatch.setattr("sys.stdin", io.StringIO(text))
+        own = {
+            "match": ["log.csv", "--half-width-m", "600"],
+            "stream": ["--half-width-m", "600"],
+            "navigate": ["log.csv"],
+            "navigate -": ["-"],
+        }
+        name = command.split()[0]
+        monkeypatch.chdir(tmp_path)
+        code = run(
+            [name, "map.nc", *own[command], "--json"]
+            if command in ("match", "navigate")
+            else [name, "map.nc", *own[command]]
+        )
+        out, err = capsys.readouterr()
+        assert code in (0, 3), err
+        if header.startswith("time_s,e"):
+            right = out
+        elif command in ("match", "navigate"):
+            assert "EPSG:32633" in err
+    import json
+
+    one, other = ([json.loads(line) for line in t.strip().splitlines()] for t in (right, out))
+    assert [r["status"] for r in one] == [r["status"] for r in other]
+    one, other = ([(r["x"], r["y"]) for r in rows if r["ok"]] for rows in (one, other))
+    np.testing.assert_allclose(one, other, atol=1.0)
+    assert 500_000 < one[-1][0] < 512_000
+    utm(tmp_path, crs=None)
+    monkeypatch.setattr("sys.stdin", io.StringIO(text))
+    assert run([name, "map.nc", *own[command]]) == 1
+    assert "degrees" in capsys.readouterr().err

@@ -19,14 +19,15 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from geomag._errors import InvalidInputError, UnknownVariableError
-from geomag.io._names import asked_column
+from geomag._geomag import GridMap, Track
+from geomag.io._names import asked_column, understand
 from geomag.io._tables import load_table
 from geomag.io._tracks import points_of, times_of
 
@@ -58,6 +59,7 @@ class LogRow:
     velocity_m_s: tuple[float, float] | None = None
     heading_deg: float | None = None
     truth: tuple[float, float] | None = None
+    geographic: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,25 @@ class FlightLog:
     velocity_m_s: Array | None = None
     heading_deg: Array | None = None
     truth: Array | None = None
+    geographic: bool | None = None
+
+    def on_map(self, grid: GridMap) -> FlightLog:
+        """The log in the coordinates of a map; what says nothing of its own (`geographic` is None) is taken to be as the map is.
+
+        Raises `InvalidInputError` for degrees on a map in metres without a system, and for metres on a map in degrees.
+        """
+        from geomag.projection import align
+
+        if self.geographic is None or self.geographic == grid.geographic:
+            return self
+        there = align(grid, Track(self.x, self.y, np.zeros(len(self.x)), geographic=self.geographic))
+        truth = self.truth
+        if truth is not None:
+            true = align(
+                grid, Track(truth[:, 0], truth[:, 1], np.zeros(len(truth)), geographic=self.geographic), quiet=True
+            )
+            truth = np.column_stack([true.x, true.y])
+        return replace(self, x=np.asarray(there.x), y=np.asarray(there.y), truth=truth, geographic=grid.geographic)
 
 
 def _columns(names: list[str], asked: Mapping[str, str | None], where: str) -> dict[str, int]:
@@ -106,11 +127,15 @@ def read_rows(lines: Iterable[str], *, where: str = "log", **columns: str | None
     """
     at: dict[str, int] | None = None
     width = 0
+    geographic: bool | None = None
     for number, parts in enumerate(csv.reader(_plain(lines)), start=1):
         if not parts or parts[0].startswith("#"):
             continue
         if at is None:
             at, width = _columns(parts, columns, where), len(parts)
+            x, y = (understand(at[k], parts[at[k]].strip().strip('"')) for k in ("x", "y"))
+            system = x.system or y.system
+            geographic = None if system is None else system == "geographic"
             continue
         if len(parts) != width:
             raise InvalidInputError(
@@ -131,6 +156,7 @@ def read_rows(lines: Iterable[str], *, where: str = "log", **columns: str | None
             velocity if all(map(math.isfinite, velocity)) else None,
             heading if math.isfinite(heading) else None,
             truth if all(map(math.isfinite, truth)) else None,
+            geographic,
         )
 
 
@@ -201,7 +227,7 @@ def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
         return found[0] if len(found) == 1 else np.column_stack(found)
 
     velocity, truth = whole("velocity_east", "velocity_north"), whole("true_x", "true_y")
-    return FlightLog(time, points.x, points.y, points.values, velocity, whole("heading"), truth)
+    return FlightLog(time, points.x, points.y, points.values, velocity, whole("heading"), truth, points.geographic)
 
 
 def write_flight_log(path: str | Path, log: FlightLog) -> None:

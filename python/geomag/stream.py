@@ -10,10 +10,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, BinaryIO, Protocol, TextIO
 
-from geomag._geomag import Fix
+from geomag._geomag import Fix, GridMap, Track
 from geomag.io._serial import Sample, read_csv, read_nmea
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ __all__ = [
     "feed",
     "json_lines",
     "mavlink_messages",
+    "on_map",
     "read_csv",
     "read_nmea",
     "run",
@@ -128,6 +129,33 @@ def feed(matcher: Matcher, samples: Iterable[Sample], *, restart: bool = True) -
         yield Event(sample, status, step.fix, over)
         if over and reset is not None:
             reset()
+
+
+def on_map(grid: GridMap, samples: Iterable[Sample]) -> Iterator[Sample]:
+    """Samples in the coordinates of a map: degrees on a map with a reference system are turned, at once.
+
+    Samples that do not say what they are (`geographic` is None) are taken to be as the map is.
+
+    Raises `InvalidInputError` for degrees on a map in metres without a system, and for metres on a map in degrees; `MissingDependencyError`.
+
+    Examples
+    --------
+    >>> import geomag
+    >>> from geomag.stream import on_map, read_csv
+    >>> local = geomag.GridMap([[0.0, 1], [2, 3]], [0, 100.0], [0, 100.0])
+    >>> next(on_map(local, read_csv(["lon,lat,value", "16.2,46.9,12.5"])))
+    Traceback (most recent call last):
+    ...
+    geomag.InvalidInputError: track: needed positions in metres as the map's, got degrees, and the map has no CRS by which to turn them
+    """
+    from geomag.projection import align
+
+    for sample in samples:
+        if sample.geographic is None or sample.geographic == grid.geographic:
+            yield sample
+            continue
+        there = align(grid, Track([sample.x], [sample.y], [sample.value], geographic=sample.geographic), quiet=True)
+        yield replace(sample, x=float(there.x[0]), y=float(there.y[0]), geographic=grid.geographic)
 
 
 def json_lines(out: TextIO) -> Writer:

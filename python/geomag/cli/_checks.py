@@ -72,6 +72,8 @@ def picture(param: typer.CallbackParam, value: Path | None) -> Path | None:
 #: How the library says it, and how one does it here.
 _WORDS: Iterable[tuple[str, str]] = (
     (r"pass geographic=True or geographic=False", "give --geographic or --no-geographic"),
+    (r"\bgeographic=True\b", "--geographic"),
+    (r"\bgeographic=False\b", "--no-geographic"),
     (r"columns=\((\w+), (\w+), (\w+)\)", r"--columns \1,\2,\3"),
     (r"missing='drop' leaves them out", "--drop-missing leaves them out"),
     (

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import typer
 
-from geomag._errors import DataWarning, InvalidInputError, TimeError
+from geomag._errors import DataWarning, GeomagError, InvalidInputError, TimeError
 from geomag._explain import reasons, status_in_words
 from geomag._geomag import GridMap, Track
 from geomag.io._tables import load_table
@@ -31,6 +32,23 @@ def teller(quiet: bool) -> Callable[[str], None]:
             typer.echo(text)
 
     return say
+
+
+def with_told_errors(grid: GridMap, line_spacing_m: float | None, map_sigma: float | None) -> GridMap:
+    """The map with errors by the spacing of its survey's lines: as told, or as its file says where nothing else is known of its errors."""
+    from geomag.survey import with_line_spacing
+
+    if line_spacing_m is not None:
+        if map_sigma is not None:
+            raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
+        return with_line_spacing(grid, line_spacing_m)
+    if grid.line_spacing_m is not None and grid.sigma is None and grid.error_model is None:
+        typer.echo(
+            f"the map's errors are taken as typical of its survey, whose lines are {grid.line_spacing_m:.0f} m apart",
+            err=True,
+        )
+        return with_line_spacing(grid, grid.line_spacing_m)
+    return grid
 
 
 def jsonable(value: Any) -> Any:  # noqa: ANN401 - anything that a report holds
@@ -74,15 +92,34 @@ def load_track(
     reading: str | None = None,
 ) -> Track:
     """Read a track for a map and bring it to the map's coordinates; what was done for that is told on standard error."""
-    from geomag.projection import AlignedWarning, align
+    return aligned(grid, _read(load_table(path, position, reading), grid, x, y, value, drop))
 
-    track = _read(load_table(path, position, reading), grid, x, y, value, drop)
-    with warnings.catch_warnings(record=True) as told:
+
+def aligned(grid: GridMap, track: Track) -> Track:
+    """A track in the map's coordinates; what was done for that is told on standard error."""
+    from geomag.projection import align
+
+    with telling():
+        return align(grid, track)
+
+
+@contextmanager
+def telling() -> Iterator[None]:
+    """What is done to bring a log to the map's coordinates, told on standard error."""
+    from geomag.projection import AlignedWarning
+
+    with warnings.catch_warnings():
         warnings.simplefilter("always", AlignedWarning)
-        track = align(grid, track)
-    for said in told:
-        typer.echo(str(said.message), err=True)
-    return track
+        plain = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:  # noqa: ANN401 - as warnings has it
+            if issubclass(category, AlignedWarning):
+                typer.echo(str(message), err=True)
+            else:
+                plain(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
 
 
 def _read(table: Table, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
@@ -99,7 +136,7 @@ def _read(table: Table, grid: GridMap, x: str | None, y: str | None, value: str 
     try:
         return track_of(table, x, y, value, missing=missing, grid=grid)
     except TimeError as error:
-        warnings.warn(f"times are left out: {error}", DataWarning, stacklevel=2)
+        warnings.warn(f"times are left out: {str(error).partition('; ')[0]}", DataWarning, stacklevel=2)
         return track_of(table, x, y, value, time=False, missing=missing, grid=grid)
 
 
@@ -114,7 +151,12 @@ def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error 
         east, north = fix.offset_m
         place = f"x {fix.x:.6f}  y {fix.y:.6f}" if grid.geographic else f"x {fix.x:.1f} m  y {fix.y:.1f} m"
         if fix.ok:
-            lines += [f"position    {place}", f"correction  {east:+.1f} m east  {north:+.1f} m north"]
+            degrees = None if grid.geographic else _degrees(grid, fix)
+            lines += [
+                f"position    {place}",
+                *([] if degrees is None else [f"            {degrees}"]),
+                f"correction  {east:+.1f} m east  {north:+.1f} m north",
+            ]
         else:
             lines.append(
                 f"best guess  {place}, {math.hypot(east, north):.0f} m from where the INS says; not to be used"
@@ -131,6 +173,21 @@ def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error 
     )
     lines.append(f"{scores}  from {fix.n_samples} samples")
     return lines
+
+
+def _degrees(grid: GridMap, fix: Fix) -> str | None:
+    """The position in degrees (WGS 84), where the map says by which system it lies."""
+    if grid.crs is None:
+        return None
+    try:
+        from geomag.projection import transform
+
+        longitude, latitude = (float(c[0]) for c in transform([fix.x], [fix.y], grid.crs, "EPSG:4326"))
+    except GeomagError:  # without the extra 'geo', or a system of which nothing is known on the Earth
+        return None
+    if not (math.isfinite(longitude) and math.isfinite(latitude)):
+        return None
+    return f"latitude {latitude:.6f}  longitude {longitude:.6f} (WGS 84)"
 
 
 def percent(share: float) -> str:

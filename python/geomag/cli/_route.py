@@ -8,30 +8,19 @@ import numpy as np
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Track, predict_many
+from geomag.cli._common import aligned
 from geomag.survey._lines import along_m
 
 #: Simulated flights a window.
 FLIGHTS = 30
 
 
-def read_route(path: Path, x: str | None, y: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Waypoints of a table: at least two, in the map's coordinates."""
-    from geomag.io import floats, read_table
+def read_route(path: Path, x: str | None, y: str | None, grid: GridMap) -> tuple[np.ndarray, np.ndarray]:
+    """Waypoints of a table, at least two, in the map's coordinates; what was done to bring them there is told."""
+    from geomag.io._tracks import waypoints
 
-    table = read_table(path)
-    names = {str(c).strip().lower(): str(c) for c in table.columns}
-    found = []
-    for given, known, what in (
-        (x, ("longitude", "lon", "x", "easting", "east"), "x"),
-        (y, ("latitude", "lat", "y", "northing", "north"), "y"),
-    ):
-        name = given if given is not None else next((names[k] for k in known if k in names), None)
-        if name is None or name not in table.columns:
-            raise InvalidInputError(f"{path}: needed a column for --{what}, got {', '.join(map(str, table.columns))}")
-        found.append(floats(table, name, path))
-    if len(found[0]) < 2:
-        raise InvalidInputError(f"{path}: needed at least two waypoints, got {len(found[0])}")
-    return found[0], found[1]
+    track = aligned(grid, waypoints(path, x, y, grid))
+    return track.x, track.y
 
 
 def along_route(

@@ -9,6 +9,7 @@ import typer
 
 from geomag.cli import app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
+from geomag.cli._common import with_told_errors
 from geomag.io import read_grid
 
 
@@ -75,7 +76,7 @@ def calibrate(
     from geomag.survey import read_lines, smooth_lines
 
     if simulate:
-        grid = read_grid(source, variable, geographic=geographic, sigma=map_sigma)
+        grid = with_told_errors(read_grid(source, variable, geographic=geographic, sigma=map_sigma), None, map_sigma)
         result = calibrate_simulated(
             grid,
             sigma=sigma,

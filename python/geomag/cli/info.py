@@ -46,6 +46,7 @@ def summary(grid: GridMap) -> dict[str, object]:
         "mean": float(known.mean()),
         "std": float(known.std()),
         "gradient_per_km": {"p10": quantiles[0], "median": quantiles[1], "p90": quantiles[2]},
+        "line_spacing_m": grid.line_spacing_m,
         "map_sigma": None if grid.sigma is None else float(np.nanmedian(grid.sigma)),
         "error_model": None
         if model is None
@@ -66,6 +67,8 @@ def known(grid: GridMap, facts: dict[str, object]) -> list[str]:
         )
     else:
         lines.append("error     not known: matchers take it for one of unknown size")
+    if grid.line_spacing_m is not None:
+        lines.append(f"lines     {grid.line_spacing_m:.0f} m apart")
     if grid.height_m is not None:
         low, high = float(np.nanmin(grid.height_m)), float(np.nanmax(grid.height_m))
         lines.append(f"height    {low:.0f} m" if low == high else f"height    {low:.0f} .. {high:.0f} m (draped)")
@@ -101,12 +104,13 @@ def info(
         typer.echo(json.dumps(jsonable(facts)))
         return 0
     unit = "deg" if grid.geographic else "m"
+    shown = ".6g" if grid.geographic else ".0f" if min(grid.spacing) >= 1.0 else ".3f"
     value = grid.units or "value units"
     rows, width = grid.shape
     lines = [
         f"map       {grid.name or map.name}: {rows} x {width} nodes, {facts['dtype']}",
-        f"x         {facts['x'][0]:.6g} .. {facts['x'][1]:.6g} {unit}, spacing {grid.spacing[0]:.6g} {unit} ({grid.spacing_m[0]:.0f} m)",  # type: ignore[index]
-        f"y         {facts['y'][0]:.6g} .. {facts['y'][1]:.6g} {unit}, spacing {grid.spacing[1]:.6g} {unit} ({grid.spacing_m[1]:.0f} m)",  # type: ignore[index]
+        f"x         {facts['x'][0]:{shown}} .. {facts['x'][1]:{shown}} {unit}, spacing {grid.spacing[0]:.6g} {unit} ({grid.spacing_m[0]:.0f} m)",  # type: ignore[index]
+        f"y         {facts['y'][0]:{shown}} .. {facts['y'][1]:{shown}} {unit}, spacing {grid.spacing[1]:.6g} {unit} ({grid.spacing_m[1]:.0f} m)",  # type: ignore[index]
         f"holes     {facts['holes']} nodes ({100 * facts['holes_share']:.1f} %)",  # type: ignore[operator]
         f"values    {facts['minimum']:.1f} .. {facts['maximum']:.1f} {value}, mean {facts['mean']:.1f}, std {facts['std']:.1f}",
         f"gradient  {slope:.2f} {value}/km in the median, {facts['gradient_per_km']['p90']:.2f} at 90 %",  # type: ignore[index]

@@ -11,7 +11,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Track
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
-from geomag.cli._common import describe, fix_json, load_track, three
+from geomag.cli._common import describe, fix_json, load_track, three, with_told_errors
 from geomag.cli._methods import (
     IEMA_SIGMA,
     LARGEST_IS_BEST,
@@ -25,7 +25,6 @@ from geomag.cli._methods import (
 )
 from geomag.cli._settings import again
 from geomag.io import read_grid
-from geomag.survey import with_line_spacing
 
 
 def default_half_width_m(grid: GridMap) -> float:
@@ -133,10 +132,8 @@ def match(
     """Find where a track truly ran, from a map and its measured values."""
     refuse_idle(context, method.value, letter)
     grid = read_grid(map, variable, geographic=geographic, columns=three(columns), sigma=map_sigma)
-    if line_spacing_m is not None:
-        if map_sigma is not None:
-            raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
-        grid = with_line_spacing(grid, line_spacing_m)
+    if method.value in MEANT_FOR["line_spacing_m"]:
+        grid = with_told_errors(grid, line_spacing_m, map_sigma)
     samples = load_track(track, grid, x, y, value, drop_missing, position, reading)
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     told = Settings(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,15 +14,15 @@ import numpy.typing as npt
 import typer
 
 from geomag._errors import InvalidInputError, MissingFileError
-from geomag._geomag import GridMap, InsModel, Navigator
+from geomag._geomag import GridMap, InsModel, Navigator, Track
 from geomag._navigation import Navigation
 from geomag._navigation import navigate as navigate_log
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import not_negative, output, picture, positive, share
-from geomag.cli._common import jsonable
+from geomag.cli._common import jsonable, telling, with_told_errors
 from geomag.flight_log import FlightLog, LogRow, read_flight_log, read_rows
 from geomag.io import read_grid
-from geomag.survey import with_line_spacing
+from geomag.projection import align
 
 Array = npt.NDArray[np.float64]
 
@@ -112,10 +113,7 @@ def navigate(
 ) -> int:
     """Navigate: correct what an INS indicates with readings of a field, and say how far it can be trusted."""
     grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
-    if line_spacing_m is not None:
-        if map_sigma is not None:
-            raise InvalidInputError("--line-spacing-m: needed without --map-sigma, got both")
-        grid = with_line_spacing(grid, line_spacing_m)
+    grid = with_told_errors(grid, line_spacing_m, map_sigma)
     model = ins_model(ins)
     options: dict[str, Any] = {
         "ins": model,
@@ -129,8 +127,9 @@ def navigate(
         for name, asked in (("--plot", plot), ("--report", report), ("--out", out)):
             if asked is not None:
                 raise InvalidInputError(f"{name}: needed a log in a file, got a pipe")
-        return live(Navigator(grid, **options), columns)
-    flown = read_flight_log(log, **columns)
+        return live(Navigator(grid, **options), grid, columns)
+    with telling():
+        flown = read_flight_log(log, **columns).on_map(grid)
     flight = navigate_log(
         grid,
         flown.time_s,
@@ -230,14 +229,22 @@ def write_track(path: Path, flight: Navigation, log: FlightLog) -> None:
             )
 
 
-def live(navigator: Navigator, columns: dict[str, str | None]) -> int:
+def live(navigator: Navigator, grid: GridMap, columns: dict[str, str | None]) -> int:
     """Answer every row of standard input with a JSON line, at once."""
     if hasattr(sys.stdin, "reconfigure"):  # noise on a serial line is for the reader to refuse by its line
         sys.stdin.reconfigure(errors="replace")
     status = "acquiring"
     for row in read_rows(sys.stdin, where="standard input", **columns):
-        status = answer(navigator, row)
+        status = answer(navigator, _on_map(row, grid))
     return 0 if status in USABLE else NO_FIX
+
+
+def _on_map(row: LogRow, grid: GridMap) -> LogRow:
+    """A row in the map's coordinates."""
+    if row.geographic is None or row.geographic == grid.geographic:
+        return row
+    there = align(grid, Track([row.x], [row.y], [0.0], geographic=row.geographic), quiet=True)
+    return replace(row, x=float(there.x[0]), y=float(there.y[0]), geographic=grid.geographic)
 
 
 def answer(navigator: Navigator, row: LogRow) -> str:

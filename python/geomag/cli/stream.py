@@ -102,9 +102,10 @@ def stream(
         writer = pipe.mavlink_messages(sys.stdout.buffer, Encoder())
     if hasattr(sys.stdin, "reconfigure"):  # noise on a serial line is for the reader to pass over by its line
         sys.stdin.reconfigure(errors="replace")
-    samples = (pipe.read_csv if input is Input.csv else pipe.read_nmea)(sys.stdin)
+    samples = pipe.on_map(grid, (pipe.read_csv if input is Input.csv else pipe.read_nmea)(sys.stdin))
     first = next(samples, None)
     if first is None:
+        typer.echo("geomag: no sample came that can be read", err=True)
         return NO_FIX
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     east, north = grid.metres_per_unit(first.y)

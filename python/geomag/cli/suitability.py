@@ -11,7 +11,7 @@ import typer
 
 from geomag.cli import app
 from geomag.cli._checks import direction, not_negative, output, picture, positive
-from geomag.cli._common import jsonable, percent, teller, three
+from geomag.cli._common import jsonable, percent, teller, three, with_told_errors
 from geomag.cli._route import along_route, read_route
 from geomag.io import read_grid
 
@@ -53,7 +53,7 @@ def suitability(
     route: Annotated[
         Path | None,
         typer.Option(
-            help="Waypoints (a table in the map's coordinates): what this route promises, instead of every node."
+            help="Waypoints (a table, as a log without readings): what this route promises, instead of every node."
         ),
     ] = None,
     x: Annotated[str | None, typer.Option(help="Column of x or longitude of the waypoints.")] = None,
@@ -75,10 +75,10 @@ def suitability(
     """Bound the position error of a straight track to every node of a map: where a fix can be had, how soon."""
     from geomag.blocks import position_bound
 
-    grid = read_grid(map, variable, geographic=geographic, columns=three(columns))
+    grid = with_told_errors(read_grid(map, variable, geographic=geographic, columns=three(columns)), None, None)
     if route is not None:
         rows = along_route(
-            grid, *read_route(route, x, y), spacing_m=speed * interval, samples=samples, half_width_m=half_width_m,
+            grid, *read_route(route, x, y, grid), spacing_m=speed * interval, samples=samples, half_width_m=half_width_m,
             tolerance_m=tolerance_m, sigma=sigma,
         )  # fmt: skip
         return tell_route(rows, speed, out, as_json)

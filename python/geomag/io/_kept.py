@@ -32,6 +32,8 @@ def _known(grid: GridMap) -> dict[str, Any]:
         known["correlation_m"] = grid.correlation_m
     if grid.height_m is not None:
         known["height_m"] = grid.height_m
+    if grid.line_spacing_m is not None:
+        known["line_spacing_m"] = grid.line_spacing_m
     if grid.ground_scale is not None:
         known["ground_scale"] = grid.ground_scale
     model = grid.error_model
@@ -147,8 +149,8 @@ def _rebuilt(grid: GridMap, kept: dict[str, Any], layer: Any, override: bool) ->
     scale = known.get("ground_scale")
     restore: Any = GridMap._restore
     out: GridMap = restore(
-        grid.values, ((x0, dx), (y0, dy)), grid.geographic, errors, text, None, known.get("height_m"),
-        None if scale is None else np.array(scale),
+        values=grid.values, axes=((x0, dx), (y0, dy)), geographic=grid.geographic, errors=errors, text=text, model=None,
+        height_m=known.get("height_m"), ground_scale=None if scale is None else np.array(scale), line_spacing_m=known.get("line_spacing_m"),
     )  # fmt: skip
     return out.with_error_model(**model) if model and not override else out
 

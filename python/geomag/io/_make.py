@@ -35,6 +35,43 @@ def closed(x: NDArray[Any], layers: list[NDArray[Any] | None]) -> tuple[NDArray[
     return axis, [layer if layer is None or layer.ndim < 2 else layer[:, index % count] for layer in layers]
 
 
+def close_seam(grid: GridMap) -> GridMap:
+    """A map of the whole circle of longitude, carried on for ten degrees of itself beyond either end; any other as it is.
+
+    `read_grid` and `grid_from_xarray` do it by themselves. A map made of arrays stays as its arrays are, so that neither a sample between its
+    last column and its first nor a search over its seam finds a value. All that the map knows is carried on: sigma, heights and the distances of
+    its error model.
+
+    Examples
+    --------
+    >>> import numpy as np, geomag
+    >>> from geomag.io import close_seam
+    >>> longitude, latitude = np.arange(0.0, 360.0, 2.0), np.arange(-10.0, 11.0, 2.0)
+    >>> values = np.cos(np.radians(longitude)) + 0 * latitude[:, None]
+    >>> grid = geomag.GridMap(values, longitude, latitude, geographic=True)
+    >>> float(grid.sample(359.0, 0.0)), round(float(close_seam(grid).sample(359.0, 0.0)), 4)
+    (nan, 0.9997)
+    """
+    if not grid.geographic:
+        return grid
+    model = grid.error_model
+    told = (grid.values, grid.sigma, grid.height_m, None if model is None else model["distance_m"])
+    x, layers = closed(grid.x, [a if isinstance(a, np.ndarray) else None for a in told])
+    if len(x) == len(grid.x):
+        return grid
+    carried: list[Any] = [own if layer is None else layer for own, layer in zip(told, layers, strict=True)]
+    values, sigma, height, distance = carried
+    out = GridMap(
+        values, x, grid.y, geographic=True, sigma=sigma, correlation_m=grid.correlation_m, height_m=height, name=grid.name, units=grid.units,
+        crs=grid.crs, line_spacing_m=grid.line_spacing_m,
+    )  # fmt: skip
+    if model is None:
+        return out
+    return out.with_error_model(
+        **{k: v for k, v in model.items() if k not in ("distance_m", "layout")}, distance_m=distance
+    )
+
+
 def make_map(
     values: NDArray[Any],
     x: NDArray[Any],

@@ -87,6 +87,9 @@ def _timed(stamps: Array, columns: dict[str, Array], where: str) -> Table:
 def m77t_table(table: Table, where: str) -> Table:
     """An M77T table with its date and time as one column, and names that carry their units."""
     names = {c.name: c for c in table.columns}
+    missing = [n for n in ("TIMEZONE", "DATE", "TIME", "LAT", "LON") if n not in names]
+    if missing:
+        raise ReadError(f"{where}: needed the columns of M77T, got none called {', '.join(missing)}")
     columns: dict[str, Array] = {"longitude": table.floats(names["LON"]), "latitude": table.floats(names["LAT"])}
     for own, ours in (("MAG_TOT", "total_field_nt"), ("MAG_TOT2", "total_field_2_nt"), ("MAG_RES", "residual_field_nt"),
                       ("GRA_OBS", "observed_gravity_mgal"), ("FREEAIR", "free_air_anomaly_mgal")):  # fmt: skip

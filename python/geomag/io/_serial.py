@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from geomag._errors import DataWarning, InvalidInputError, UnknownVariableError
 from geomag.io._names import Column, columns_of, coordinate_columns
@@ -21,12 +21,16 @@ _DUMMIES = {99_999.0, -99_999.0, 999_999.0, -999_999.0, -9_999.0, -999.0, 9_999_
 
 @dataclass(frozen=True)
 class Sample:
-    """One reading: indicated position (map units), measured value, time in seconds where it is known."""
+    """One reading: indicated position (map units), measured value, time in seconds where it is known.
+
+    `geographic` says whether the position is in degrees, where the stream said so: see `on_map`.
+    """
 
     x: float
     y: float
     value: float
     time_s: float | None = None
+    geographic: bool | None = field(default=None, repr=False, compare=False)
 
 
 def told(text: str) -> None:
@@ -57,7 +61,7 @@ class _Form:
     value: int
     time: int | None
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    geographic: bool = False
+    geographic: bool | None = None
     time_unit: str | None = None
 
 
@@ -83,7 +87,7 @@ def _named(names: Sequence[str], separator: str, number_: int) -> _Form:
     value = values[0]
     times = [c for c in columns if c.kind == "time"]
     time: Column | None = times[0] if len(times) == 1 else None
-    geographic = x.system == "geographic"
+    geographic = None if x.system is None else x.system == "geographic"
     scale_x, scale_y = (1.0 if geographic else metres_in(c.unit, where) for c in (x, y))
     known = field_unit(value.unit)
     return _Form(
@@ -118,7 +122,7 @@ def _sample(parts: Sequence[str], form: _Form, clock: Clock, number_: int) -> Sa
                 raise
             return f"needed a time, got {parts[form.time]!r}"
     sx, sy, sv = form.scale
-    return Sample(x * sx, y * sy, value * sv, seconds)
+    return Sample(x * sx, y * sy, value * sv, seconds, form.geographic)
 
 
 def read_csv(lines: Iterable[str]) -> Iterator[Sample]:
@@ -248,7 +252,7 @@ def read_nmea(lines: Iterable[str]) -> Iterator[Sample]:
                 value = number(fields[1])
                 if not math.isfinite(value) or abs(value) >= 0.99e12 or value in _DUMMIES:
                     raise ValueError(f"needed a reading, got {fields[1]!r}")
-                yield Sample(position[0], position[1], value, position[2])
+                yield Sample(position[0], position[1], value, position[2], True)
         except (IndexError, ValueError) as error:
             told(f"line {number_} is passed over: needed an NMEA sentence, got {line[:90]!r} ({error})")
             # Which sentence it was cannot be known: a reading after it must not be laid to an old position.

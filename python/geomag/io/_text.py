@@ -216,7 +216,8 @@ def parse(text: str, where: str) -> Table:
         if bare[0] == ">" or found:
             labels.append((len(content), found[2] if found else bare[1:].strip() or f"segment {len(labels) + 1}"))
             continue
-        content.append((number, line if bare is line else line.replace("\ufeff", "")))
+        # A mark within a field is no blank that may be left out: `12\ufeff0` is no 120.
+        content.append((number, line[: len(line) - len(bare)].replace("\ufeff", "") + bare))
     if not content:
         raise ReadError(f"{where}: needed a readable table with at least one row, got none")
     sample = [line for _, line in content[1 : _SAMPLE + 1]]

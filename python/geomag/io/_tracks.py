@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -19,7 +19,7 @@ from geomag.io._names import Column, asked_column, coordinate_columns, the_one
 from geomag.io._numbers import without_dummies
 from geomag.io._tables import load_table, table_from_pandas, text_or_numbers
 from geomag.io._text import Table
-from geomag.io._units import OTHER_ANGLES, field_unit, is_degree, metres_in, tidy
+from geomag.io._units import METRES, OTHER_ANGLES, field_unit, is_degree, metres_in, tidy
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,6 +38,30 @@ class Points:
     geographic: bool | None
     unit: str | None
     columns: tuple[Column, Column, Column]
+
+
+def _told_unit(column: Column, unit: str | None, option: str, where: str) -> Column:
+    """The column with a unit that the caller knows; one that the file says otherwise is not overruled."""
+    if unit is None:
+        return column
+    known = field_unit(unit) if option == "value_unit" else tidy(unit) in METRES or is_degree(unit) or None
+    if known is None:
+        needed = (
+            "a unit of a field (nT, uT, mG, mGal, ...)" if option == "value_unit" else "degrees or a unit of length"
+        )
+        raise InvalidInputError(f"{option}: needed {needed}, got {unit!r}")
+    if column.unit is not None and tidy(column.unit) != tidy(unit):
+        raise InvalidInputError(
+            f"{where}: needed {option}={column.unit!r}, as the name of column '{column.name}' says, got {unit!r}"
+        )
+    system = column.system
+    if option == "xy_unit":
+        system = "geographic" if is_degree(unit) else "projected"
+        if column.system is not None and column.system != system:
+            raise InvalidInputError(
+                f"{where}, column '{column.name}': needed one kind of coordinate, got {option}={unit!r}"
+            )
+    return replace(column, unit=unit, system=system)
 
 
 def _in_own_unit(values: Array, column: Column, where: str) -> tuple[Array, str | None]:
@@ -95,10 +119,14 @@ def points_of(
     geographic: bool | None = None,
     unit: str | None = None,
     height_too: bool = False,
+    xy_unit: str | None = None,
+    value_unit: str | None = None,
 ) -> Points:
     """Positions and values of a table; NaN where one is missing or a dummy."""
     px, py = coordinate_columns(table.columns, x, y, table.where, geographic)
-    pv = value_column(table, value, unit, height_too)
+    pv = value_column(table, value, unit if value_unit is None else value_unit, height_too)
+    px, py = (_told_unit(c, xy_unit, "xy_unit", table.where) for c in (px, py))
+    pv = _told_unit(pv, value_unit, "value_unit", table.where)
     if pv.index in (px.index, py.index):
         raise InvalidInputError(f"{table.where}: needed a column for value beside x and y, got '{pv.name}'")
     said = px.system or py.system
@@ -129,6 +157,9 @@ def read_track(
     height: str | int | None = None,
     position: str | None = None,
     reading: str | None = None,
+    geographic: bool | None = None,
+    xy_unit: str | None = None,
+    value_unit: str | None = None,
 ) -> Track:
     r"""Read an indicated track with measured values from CSV (also compressed), other text, Parquet, or the log of a vehicle.
 
@@ -150,6 +181,9 @@ def read_track(
     position, reading : streams of a log (`vehicle_global_position`, `MAG[1]`, `/imu/mag`, `mag_1_uc`), where it has several; a number of any
         other message is `message.field`.
     grid : a map that the track is for: its unit chooses among several readings, and degrees are not taken for metres.
+    geographic, xy_unit, value_unit : whether coordinates are degrees, their unit (km, ft, ...) and that of the readings (uT, mG, ...), where
+        the file does not say them; what it says may be repeated, not contradicted. Without any, numbers are metres or degrees as the map's, and
+        readings in the map's unit.
 
     Returns
     -------
@@ -172,7 +206,10 @@ def read_track(
     (2, [31.5, 35.0], [0.0, 8.0])
     """
     table = load_table(path, position, reading)
-    return track_of(table, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid, height=height)
+    return track_of(
+        table, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid, height=height, geographic=geographic,
+        xy_unit=xy_unit, value_unit=value_unit,
+    )  # fmt: skip
 
 
 def track_from_pandas(
@@ -185,11 +222,18 @@ def track_from_pandas(
     time_unit: str | None = None,
     missing: Missing = "error",
     grid: GridMap | None = None,
+    height: str | None = None,
+    geographic: bool | None = None,
+    xy_unit: str | None = None,
+    value_unit: str | None = None,
     where: str = "table",
 ) -> Track:
     """Make a track of the columns of a DataFrame; arguments as for `read_track`."""
     rows = table_from_pandas(table, where)
-    return track_of(rows, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid)
+    return track_of(
+        rows, x, y, value, time=time, time_unit=time_unit, missing=missing, grid=grid, height=height, geographic=geographic,
+        xy_unit=xy_unit, value_unit=value_unit,
+    )  # fmt: skip
 
 
 def track_of(
@@ -203,6 +247,9 @@ def track_of(
     missing: Missing = "error",
     grid: GridMap | None = None,
     height: str | int | None = None,
+    geographic: bool | None = None,
+    xy_unit: str | None = None,
+    value_unit: str | None = None,
 ) -> Track:
     """A track of a table; arguments as for `read_track`."""
     where = table.where
@@ -214,7 +261,9 @@ def track_of(
             f"{where}: needed one track, got {len(names)} lines ({', '.join(names[:5])}) that have to be split: "
             "geomag.survey.read_lines does it"
         )
-    points = points_of(table, x, y, value, unit=None if grid is None else grid.units)
+    points = points_of(
+        table, x, y, value, geographic=geographic, unit=None if grid is None else grid.units, xy_unit=xy_unit, value_unit=value_unit
+    )  # fmt: skip
     if grid is not None:
         _fits(points, grid, where)
     dummies = np.isnan(points.values) & ~np.isnan(table.floats(points.columns[2]))
@@ -239,6 +288,21 @@ def track_of(
         at = f"{where}, column '{column.name}'"
         heights = without_dummies(table.floats(column), at)[keep] * metres_in(column.unit, at)
     return Track(px, py, values, time_s=seconds, height_m=heights, geographic=points.geographic)
+
+
+def waypoints(path: str | Path, x: str | int | None, y: str | int | None, grid: GridMap) -> Track:
+    """Waypoints of a table as a track without readings, whose columns are known as those of a log are."""
+    table = load_table(path)
+    px, py = coordinate_columns(table.columns, x, y, table.where)
+    said = px.system or py.system
+    cx, cy = _coordinates(table, px), _coordinates(table, py)
+    known = np.isfinite(cx) & np.isfinite(cy)
+    if known.sum() < 2:
+        raise TooFewSamplesError(f"{table.where}: needed at least two waypoints, got {int(known.sum())}")
+    cx, cy = cx[known], cy[known]
+    points = Points(cx, cy, np.zeros(len(cx)), None if said is None else said == "geographic", None, (px, py, px))
+    _fits(points, grid, table.where)
+    return Track(cx, cy, points.values, geographic=points.geographic)
 
 
 def _fits(points: Points, grid: GridMap, where: str) -> None:

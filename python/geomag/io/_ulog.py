@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from geomag._errors import ReadError
+from geomag._errors import DataWarning, ReadError
 from geomag._optional import require
 from geomag.io._log_tables import Array, Series, joined, magnitude_nt, one_of
 from geomag.io._text import Table, existing
@@ -41,9 +44,12 @@ def ulog_table(path: str | Path, position: str | None = None, reading: str | Non
     path = existing(path)
     core = require("pyulog", "logs", "PX4 logs")
     try:
-        log = core.ULog(str(path), None)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints what it finds wrong
+            log = core.ULog(str(path), None)
     except Exception as error:  # the reader underneath trips in many ways over a broken log
         raise ReadError(f"{path}: needed a readable ULog, got: {type(error).__name__} {error}") from error
+    if getattr(log, "file_corruption", False):
+        warnings.warn(f"{path}: parts of the log cannot be read and are left out", DataWarning, stacklevel=4)
     series: dict[str, Series] = {}
     first: dict[str, dict[str, Series]] = {"position": {}, "reading": {}}
     for data in log.data_list:

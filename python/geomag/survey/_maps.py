@@ -52,7 +52,7 @@ def with_errors(grid: GridMap, lines: Lines | None, model: ErrorModel) -> GridMa
 
 def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model: ErrorModel) -> GridMap:
     """`grid` with other values, their sigma and an error model."""
-    out, distance = layered(grid, values, sigma, distance)
+    out, distance = layered(grid, values, sigma, distance, model.line_spacing_m)
     return out.with_error_model(
         nu=model.nu,
         scale_spread=model.scale_spread,

@@ -293,7 +293,9 @@ def correlation_at(step: float) -> float:
     return float(FIRST_CORRELATION * CORRELATION_STEP**step)
 
 
-def layered(grid: GridMap, values: Array, sigma: Array, distance: Array) -> tuple[GridMap, Array]:
+def layered(
+    grid: GridMap, values: Array, sigma: Array, distance: Array, line_spacing_m: float | None = None
+) -> tuple[GridMap, Array]:
     """`grid` with other values and their sigma, and the distances; a node without any of them becomes a hole."""
     known = np.isfinite(values) & np.isfinite(sigma)
     out = GridMap(
@@ -305,5 +307,8 @@ def layered(grid: GridMap, values: Array, sigma: Array, distance: Array) -> tupl
         name=grid.name,
         units=grid.units,
         crs=grid.crs,
+        height_m=grid.height_m,
+        ground_scale=grid.ground_scale,
+        line_spacing_m=grid.line_spacing_m if line_spacing_m is None else line_spacing_m,
     )
     return out, np.where(known, distance, np.nan)

@@ -53,6 +53,9 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 /// ground_scale : float, array of shape (len(y),) or (len(y), 2), optional
 ///     Metres on the ground per map unit (east, north), one or one a row, for projections that stretch (Mercator); one by default.
 ///     `read_grid` gives it where the file says the projection.
+/// line_spacing_m : float, optional
+///     Distance between the survey lines that the map was made of, metres. It changes no answer by itself: see
+///     `geomag.survey.with_line_spacing`.
 ///
 /// Raises
 /// ------
@@ -62,6 +65,9 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 /// -----
 /// Stored once, with both axes ascending, and shared by every matcher made from it. Between nodes the map is bilinear
 /// or, on request, cubic convolution (Keys 1981, doi 10.1109/TASSP.1981.1163711).
+///
+/// Arrays stay as they are given: a map of the whole circle of longitude ends at its last column, so that neither samples nor searches cross
+/// its seam. `geomag.io.close_seam` carries it on beyond either end, as `read_grid` does for files.
 ///
 /// Examples
 /// --------
@@ -75,22 +81,38 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 pub struct PyGridMap {
     /// The map, shared with every matcher made from it.
     pub inner: Arc<GridMap>,
+    labels: Labels,
+    /// Whether columns and rows of the arrays that it was made of ran the other way: layers that come later do too.
+    turned: [bool; 2],
+}
+
+/// What is said of a map and no kernel asks for.
+#[derive(Clone, Default)]
+struct Labels {
     name: Option<String>,
     units: Option<String>,
     crs: Option<String>,
-    /// Whether columns and rows of the arrays that it was made of ran the other way: layers that come later do too.
-    turned: [bool; 2],
+    line_spacing_m: Option<f64>,
 }
 
 impl PyGridMap {
     /// A map made on the Rust side.
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
-        Self { inner: Arc::new(inner), name, units, crs, turned: [false; 2] }
+        let labels = Labels { name, units, crs, line_spacing_m: None };
+        Self { inner: Arc::new(inner), labels, turned: [false; 2] }
     }
 
     /// Another map with this one's name, units and reference system.
     pub fn named_alike(&self, inner: GridMap) -> Self {
-        Self::from_core(inner, self.name.clone(), self.units.clone(), self.crs.clone())
+        Self { inner: Arc::new(inner), labels: self.labels.clone(), turned: [false; 2] }
+    }
+}
+
+/// A length that is told, above zero.
+fn length(what: &'static str, told: Option<f64>) -> PyRes<Option<f64>> {
+    match told {
+        Some(length) if !(length.is_finite() && length > 0.0) => Err(invalid(what, "a finite number > 0", length)),
+        other => Ok(other),
     }
 }
 
@@ -179,9 +201,7 @@ impl PyGridMap {
         }
         Ok(Self {
             inner: Arc::new((*self.inner).clone().with_ground_scale(Some(pairs))?),
-            name: self.name.clone(),
-            units: self.units.clone(),
-            crs: self.crs.clone(),
+            labels: self.labels.clone(),
             turned: self.turned,
         })
     }
@@ -189,9 +209,7 @@ impl PyGridMap {
     fn with_model(&self, model: Option<MapErrorModel>) -> Result<Self, Error> {
         Ok(Self {
             inner: Arc::new((*self.inner).clone().with_error_model(model)?),
-            name: self.name.clone(),
-            units: self.units.clone(),
-            crs: self.crs.clone(),
+            labels: self.labels.clone(),
             turned: self.turned,
         })
     }
@@ -201,7 +219,7 @@ impl PyGridMap {
 impl PyGridMap {
     #[new]
     #[pyo3(signature = (values, x, y, *, geographic = false, sigma = None, correlation_m = None, height_m = None, name = None,
-        units = None, crs = None, ground_scale = None))]
+        units = None, crs = None, ground_scale = None, line_spacing_m = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
         values: &Bound<'_, PyAny>,
@@ -215,7 +233,9 @@ impl PyGridMap {
         units: Option<String>,
         crs: Option<String>,
         ground_scale: Option<&Bound<'_, PyAny>>,
+        line_spacing_m: Option<f64>,
     ) -> PyRes<Self> {
+        let labels = Labels { name, units, crs, line_spacing_m: length("line_spacing_m", line_spacing_m)? };
         let (grid_values, rows, columns) = grid_values(values)?;
         let (xs, ys) = (vector("x", x)?, vector("y", y)?);
         if (rows, columns) != (ys.len(), xs.len()) {
@@ -242,7 +262,7 @@ impl PyGridMap {
             };
             inner = inner.with_height(Some(layer))?;
         }
-        let map = Self { inner: Arc::new(inner), name, units, crs, turned };
+        let map = Self { inner: Arc::new(inner), labels, turned };
         match ground_scale {
             None => Ok(map),
             Some(scale) => map.scaled(scale, turned[1]),
@@ -512,19 +532,25 @@ impl PyGridMap {
     /// Name of the field, where known.
     #[getter]
     fn name(&self) -> Option<&str> {
-        self.name.as_deref()
+        self.labels.name.as_deref()
     }
 
     /// Unit of the values, where known.
     #[getter]
     fn units(&self) -> Option<&str> {
-        self.units.as_deref()
+        self.labels.units.as_deref()
     }
 
     /// Coordinate reference system as text, where known.
     #[getter]
     fn crs(&self) -> Option<&str> {
-        self.crs.as_deref()
+        self.labels.crs.as_deref()
+    }
+
+    /// Distance between the survey lines behind the map, metres, where known.
+    #[getter]
+    fn line_spacing_m(&self) -> Option<f64> {
+        self.labels.line_spacing_m
     }
 
     /// Metres per map unit (east, north) at a y: one on projected maps, WGS84 radii on geographic ones.
@@ -599,7 +625,8 @@ impl PyGridMap {
         let this = slf.get();
         let (x, y) = (this.inner.x(), this.inner.y());
         let axes = ((x.first(), x.step()), (y.first(), y.step()));
-        let text = (this.name.clone(), this.units.clone(), this.crs.clone());
+        let labels = &this.labels;
+        let text = (labels.name.clone(), labels.units.clone(), labels.crs.clone());
         let correlation_m = this.inner.correlation_m();
         let model = this.error_model(py)?;
         let errors = (this.sigma(py)?, correlation_m);
@@ -613,6 +640,7 @@ impl PyGridMap {
             this.height_m(py)?,
             this.ground_scale(py)?,
             this.turned,
+            labels.line_spacing_m,
         )
             .into_pyobject(py)?;
         Ok((slf.get_type().getattr("_restore")?, arguments))
@@ -620,7 +648,7 @@ impl PyGridMap {
 
     #[staticmethod]
     #[pyo3(signature = (values, axes, geographic, errors, text, model, height_m = None, ground_scale = None,
-                        turned = [false, false]))]
+                        turned = [false, false], line_spacing_m = None))]
     #[allow(clippy::type_complexity, clippy::too_many_arguments)] // the tuple that __reduce__ wrote
     fn _restore(
         values: &Bound<'_, PyAny>,
@@ -632,6 +660,7 @@ impl PyGridMap {
         height_m: Option<&Bound<'_, PyAny>>,
         ground_scale: Option<&Bound<'_, PyAny>>,
         turned: [bool; 2],
+        line_spacing_m: Option<f64>,
     ) -> PyRes<Self> {
         let (values, rows, columns) = grid_values(values)?;
         // Axes are rebuilt from start and step, so that a map comes back to the last bit.
@@ -656,7 +685,9 @@ impl PyGridMap {
             .with_sigma(sigma)?
             .with_correlation_m(correlation_m)?
             .with_height(height)?;
-        let mut map = Self { inner: Arc::new(inner), name: text.0, units: text.1, crs: text.2, turned };
+        let line_spacing_m = length("line_spacing_m", line_spacing_m)?;
+        let labels = Labels { name: text.0, units: text.1, crs: text.2, line_spacing_m };
+        let mut map = Self { inner: Arc::new(inner), labels, turned };
         if let Some(scale) = ground_scale {
             map = map.scaled(scale, false)?;
         }
@@ -696,7 +727,7 @@ impl PyGridMap {
         let unit = if self.inner.geographic() { "deg" } else { "m" };
         format!(
             "GridMap({}{} x {} nodes, x {:.6}..{:.6} y {:.6}..{:.6} {unit}, spacing {:.6} x {:.6} {unit}, {}{})",
-            self.name.as_ref().map(|n| format!("{n}, ")).unwrap_or_default(),
+            self.labels.name.as_ref().map(|n| format!("{n}, ")).unwrap_or_default(),
             y.len(),
             x.len(),
             x.first(),
