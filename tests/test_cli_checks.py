@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -203,3 +204,40 @@ def test_errors_speak_the_command_line(folder, capsys, monkeypatch):
     assert status == 1
     assert "--value" in err
     assert "value=" not in err
+
+
+def test_what_remains_is_a_time(monkeypatch):
+    """From the first call on there is a bar; a time to go is shown once there is one, never `nan`."""
+    import io
+
+    from geomag import _progress
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    clock = iter([0.0, 0.1, 1.0, 200.0, 20_000.0])
+    monkeypatch.setattr(_progress.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr("sys.stderr", Terminal())
+    bar = _progress.bar("gridding ")
+    seen = []
+    for done in (0, 1, 10, 50):
+        bar(done, 100)
+        seen.append(sys.stderr.getvalue().split("\r")[-1].strip())
+    assert seen[0] == f"gridding [{'.' * 30}]   0.0%"
+    assert [s.split("%")[1].strip() for s in seen[1:]] == [
+        "2 min to go",
+        "30 min to go",
+        "5.6 h to go",
+    ]
+
+
+def test_an_interruption_is_told(monkeypatch, capsys):
+    from geomag.cli import info, run
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(info, "read_grid", interrupted)
+    assert run(["info", "map.nc"]) == 130
+    assert capsys.readouterr().err == "geomag: interrupted\n"

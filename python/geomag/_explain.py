@@ -39,12 +39,12 @@ def reasons(grid: GridMap, track: Track, fix: Fix) -> list[str]:
     found = []
     on_map = float(np.mean(np.isfinite(grid.sample(track.x, track.y))))
     x, y = grid.x, grid.y
-    unit = "degrees" if grid.geographic else "m"
+    unit, shown = ("degrees", ".6g") if grid.geographic else ("m", ".0f" if min(grid.spacing) >= 1.0 else ".3f")
     if on_map < 0.5:
         found.append(
             f"{on_map:.0%} of the indicated track lies on known parts of the map: the track covers "
-            f"x {np.min(track.x):.6g} to {np.max(track.x):.6g}, y {np.min(track.y):.6g} to {np.max(track.y):.6g}, "
-            f"the map x {x[0]:.6g} to {x[-1]:.6g}, y {y[0]:.6g} to {y[-1]:.6g} {unit}."
+            f"x {np.min(track.x):{shown}} to {np.max(track.x):{shown}}, y {np.min(track.y):{shown}} to {np.max(track.y):{shown}}, "
+            f"the map x {x[0]:{shown}} to {x[-1]:{shown}}, y {y[0]:{shown}} to {y[-1]:{shown}} {unit}."
         )
     known = np.asarray(grid.values, dtype=float)
     known = known[np.isfinite(known)]

@@ -19,6 +19,7 @@ from geomag.cli._checks import in_options, output  # noqa: E402
 
 NO_FIX = 3
 BAD_INPUT = 1
+INTERRUPTED = 130
 
 app = typer.Typer(
     name="geomag",
@@ -116,7 +117,7 @@ def _run(arguments: Sequence[str]) -> int:
             result = command.main(list(arguments), prog_name="geomag", standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt):
         sys.stderr.write("geomag: interrupted\n")
-        return 130
+        return INTERRUPTED
     except GeomagError as error:
         sys.stderr.write(f"geomag: {_here(error)}\n")
         return BAD_INPUT
@@ -132,4 +133,6 @@ def _run(arguments: Sequence[str]) -> int:
         prefix = "" if type(error).__name__ == "NoArgsIsHelpError" else "geomag: "
         sys.stderr.write(f"{prefix}{message()}\n")
         return BAD_INPUT
+    if result == INTERRUPTED:  # what typer makes of Ctrl-C within a command, without a word
+        sys.stderr.write("geomag: interrupted\n")
     return result if isinstance(result, int) else 0

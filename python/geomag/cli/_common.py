@@ -168,6 +168,8 @@ def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error 
         lines.append(f"sigma       {s[0]:.1f} m east  {s[1]:.1f} m north (one standard deviation)")
     if fix.risk is not None:
         lines.append(f"risk        {percent(fix.risk)} {risk}")
+    if not math.isfinite(fix.score):
+        return lines
     scores = f"score       {fix.score:.4g}" + (
         f"  runner-up {fix.runner_up:.4g}" if math.isfinite(fix.runner_up) else ""
     )
