@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 from geomag._errors import InvalidInputError, UnknownVariableError
 from geomag.io._units import (
@@ -74,6 +74,7 @@ _ENDINGS = {u for table in (METRES, DEGREES, OTHER_ANGLES, FIELD, SECONDS) for u
     "gal",
     "mt_tesla",
 }
+_EASTWARD, _NORTHWARD = re.compile(r"(east|[_\s]e|°e)$"), re.compile(r"(north|[_\s]n|°n)$")
 _CLOCK_ENDINGS = ("hhmmss", "hhmm")
 
 
@@ -130,6 +131,11 @@ def understand(index: int, name: str, unit: str | None = None) -> Column:
             check_sense(f"degrees {unit}", f"column '{name}'")
         if is_degree(unit):
             check_sense(unit, f"column '{name}'")
+            # A unit that says which way it counts says what the column is, also where it is called x.
+            way = "x" if _EASTWARD.search(tidy(unit)) else "y" if _NORTHWARD.search(tidy(unit)) else kind
+            if way != kind and system is not None:
+                raise InvalidInputError(f"column '{name}': needed one kind of coordinate, got {base!r} in {unit}")
+            kind = cast("Kind", way)
             if system == "projected":
                 raise InvalidInputError(f"column '{name}': needed one kind of coordinate, got {base!r} in {unit}")
             system = "geographic"
@@ -158,6 +164,8 @@ def _kind(compact: str, words_in_order: list[str], unit: str | None) -> tuple[Ki
     field = field_unit(unit) if unit and tidy(unit) not in ("m/s2", "m/s^2", "m/s²") else None
     if compact in _HEIGHT and field is None:
         return "height", None
+    if unit is not None and tidy(unit) in SECONDS and "time" in words and not words & _NO_READING:
+        return "time", None
     if words & _SPREAD:
         return "sigma", None
     if words & _NO_READING:
