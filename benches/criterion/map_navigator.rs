@@ -29,6 +29,7 @@ fn map(exact: bool) -> GridMap {
         filter: None,
         recalibration: None,
         forecast: None,
+        lapses: None,
     };
     map.with_error_model((!exact).then_some(model)).unwrap()
 }

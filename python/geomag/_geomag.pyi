@@ -80,6 +80,7 @@ class GridMap:
         recalibration: tuple[float, float] | None = None,
         forecast: tuple[float, float] | None = None,
         layout: Literal["given", "values"] = "given",
+        lapses: tuple[float, float] | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...

@@ -14,6 +14,10 @@ from geomag.survey._model import NU, Law, sigma_of
 #: found on two surveys, and those of the one served the other; some hundred windows outweigh it.
 SLOPE_PRIOR = (0.8, 0.3)
 INTERCEPT_PRIOR = (0.0, 0.8)
+#: The same of the logarithm of the share of lapses on short tracks: 2 to 3 % on one survey, none on another.
+LAPSES_PRIOR = (float(np.log(0.01)), 1.0)
+#: Shares of lapses beyond which a track is too short for any statement, as in the core.
+MOST_LAPSES = 0.9
 
 
 def student(residuals: Array, s2: Array | float) -> Array:
@@ -79,3 +83,17 @@ def recalibrated(risk: Array, line: tuple[float, float]) -> Array:
     inside = np.clip(risk, 1e-300, 1 - 1e-16)
     odds = line[0] * (np.log(inside) - np.log1p(-inside)) + line[1]
     return np.asarray(np.where((risk <= 0) | (risk >= 1), risk, 1 / (1 + np.exp(-odds))), dtype=np.float64)
+
+
+def fit_lapses(risk: Array, ratio: Array, wrong: npt.NDArray[np.bool_], weight: Array) -> float:
+    """Share of lapses on short tracks: of answers with a `risk` on tracks `ratio` times shorter than those that it holds for, share (ratio^2 - 1) are wrong besides.
+
+    All arrays (n,), one an answer. The share of the greatest posterior probability on a fine ladder.
+    """
+    shares = np.geomspace(1e-4, 0.5, 200)
+    totals = 0.5 * ((np.log(shares) - LAPSES_PRIOR[0]) / LAPSES_PRIOR[1]) ** 2
+    for k, share in enumerate(shares):
+        p = 1 - (1 - risk) * (1 - np.minimum(share * (ratio**2 - 1), MOST_LAPSES))
+        p = np.clip(p, 1e-12, 1 - 1e-12)
+        totals[k] -= float(np.sum(weight * np.log(np.where(wrong, p, 1 - p))))
+    return float(shares[int(np.argmin(totals))])

@@ -9,15 +9,16 @@ import numpy as np
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap
 from geomag._ranges import above, at_least
-from geomag.survey._fit import fit_recalibration, fit_sigma, recalibrated
+from geomag.survey._fit import fit_lapses, fit_sigma, recalibrated
 from geomag.survey._folds import DECIDING, Fold, choose_smoothing, without_stretches
 from geomag.survey._learn_filter import learn_filter
+from geomag.survey._levels import Levels
 from geomag.survey._lines import Array, Lines
-from geomag.survey._model import LEARNT_SPREAD, REGISTRATION, ErrorModel, Law
+from geomag.survey._model import LEARNT_SPREAD, REGISTRATION, ErrorModel, Law, sigma_of
 from geomag.survey._steps import Progress, Steps
 from geomag.survey._surface import Axes, nearest, weight_of
 from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, Window, windows_of
-from geomag.survey._trials import CORRELATION_PRIOR, LEAST_RISK, Settings, Trials, flown
+from geomag.survey._trials import CORRELATION_PRIOR, Settings, Trials, flown
 
 #: Folds where nothing is said, and the fewest lines of each.
 FOLDS = 6
@@ -137,10 +138,13 @@ def settled(
 ) -> ErrorModel:
     """The error model that windows on unseen readings ask for: sizes, correlation, spread, how risks are to be read, forecast."""
     a, b, c = abc = _sizes(parts, law)
-    trials = Trials(parts, law, abc, settings, independent, rng, steps, correlation_prior)
+    levels = _levels(parts, law, abc)
+    trials = Trials(parts, law, abc, settings, independent, rng, steps, correlation_prior, levels=levels[1:])
     point, correlation = trials.search()
     best, share = trials.at(point), point.share
-    line = fit_recalibration(best.risk[best.stated], best.wrong[best.stated], independent, LEAST_RISK)
+    line = best.line
+    length_m = settings.spacing_m * (settings.samples - 1)
+    lapses = fit_lapses(*trials.first_answers(point, correlation, line)), length_m
     forecast = trials.forecast(point, correlation, line)
     for_filters = learn_filter(
         trials.maps(share),
@@ -176,6 +180,8 @@ def settled(
         share=share,
         recalibration=line,
         forecast=forecast,
+        lapses=lapses,
+        levels=levels[0] if levels else None,
         risks=sorted(float(r) for r in recalibrated(best.risk[best.stated], line)),
         settings={
             "spacing_m": settings.spacing_m,
@@ -198,3 +204,20 @@ def _sizes(parts: list[Fold], law: Law) -> tuple[float, float, float]:
     residuals, gradient, curvature, distance = together[:, np.all(np.isfinite(together), axis=0)]
     a, b, c = (float(v) for v in fit_sigma(residuals, gradient, curvature, distance, law))
     return a, b, c
+
+
+def _levels(parts: list[Fold], law: Law, abc: tuple[float, float, float]) -> list[Levels]:
+    """Where errors are larger or smaller than the formula's: of all folds, then of all but each, which knows nothing of the windows of that fold.
+
+    Nothing for a single fold.
+    """
+    if len(parts) < 2:
+        return []
+    rows: list[Array] = []
+    for k, part in enumerate(parts):
+        sigma = sigma_of(*part.features, part.distance, law, *abc)
+        for x, y, error in part.errors():
+            rows.append(np.vstack([x, y, error, nearest(sigma, part.axes, x, y), np.full(x.size, float(k))]))
+    x, y, errors, sigma, fold = np.hstack(rows)
+    kept = [np.ones(x.size, dtype=bool), *(fold != k for k in range(len(parts)))]
+    return [Levels.of(x[m], y[m], errors[m], sigma[m], 2 * law.half_spacing) for m in kept]

@@ -47,6 +47,8 @@ def with_errors(grid: GridMap, lines: Lines | None, model: ErrorModel) -> GridMa
     gradient, curvature = features(values, distance, axes)
     law = Law(model.noise, 0.5 * model.line_spacing_m, axes.cell)
     sigma = sigma_of(gradient, curvature, distance, law, model.floor, model.displacement, model.curvature)
+    if model.levels is not None:
+        sigma = sigma * model.levels.on(axes)
     return _carrying(grid, values, sigma, distance, model)
 
 
@@ -62,6 +64,7 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
         **_for_filters(model),
         recalibration=model.recalibration,
         forecast=model.forecast,
+        lapses=model.lapses,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from geomag.survey._learn_filter import FilterLaw
+from geomag.survey._levels import Levels
 from geomag.survey._lines import Array
 
 #: Position error of the lines themselves, cells: what the data on a line may be displaced by.
@@ -51,6 +52,8 @@ class ErrorModel:
     `share` is the sigma that windows ask for over that of single samples. `recalibration` (slope, intercept) is the line in
     log-odds from the computed risk to the declared one, `forecast` the factors on simulated errors and on the standard deviation foretold, None where
     they were not learnt; `risks` are those declared for the windows left out, and `settings` what they were flown with.
+    `lapses` (share, length in metres) is how often shorter tracks are wrong whatever their risk says (see `GridMap.with_error_model`). `levels` says where the
+    errors are larger or smaller than the formula's.
     `distance_m` is the distance to the data where it is one for the whole map (`learn_from_flights`), None where the lines say.
     """
 
@@ -74,6 +77,8 @@ class ErrorModel:
     risks: list[float] = field(default_factory=list, repr=False)
     settings: dict[str, float] = field(default_factory=dict, repr=False)
     distance_m: float | None = None
+    lapses: tuple[float, float] | None = None
+    levels: Levels | None = field(default=None, repr=False)
 
     def limit_of_mean(self, mean_risk: float = 0.01) -> float:
         """Return the `max_risk` at which the *mean* risk of what is declared is `mean_risk`, on tracks like the windows left out.

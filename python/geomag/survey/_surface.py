@@ -116,22 +116,21 @@ def weight_of(lines: Lines, axes: Axes, smoothing_m: float, spacing_m: float) ->
 
 def smooth(values: Array, known: npt.NDArray[np.bool_], radius: float) -> Array:
     """Mean over about a normal law of standard deviation `radius` cells (three boxes), of the known nodes alone."""
-    half = max(1, round(np.sqrt(1 + 4 * radius**2) / 2 - 0.5))
-
-    def box(a: Array) -> Array:
-        for axis in (0, 1):
-            padded = np.pad(a, [(half + 1, half) if d == axis else (0, 0) for d in (0, 1)])
-            total = np.cumsum(padded, axis=axis)
-            n = a.shape[axis]
-            upper = np.take(total, np.arange(n) + 2 * half + 1, axis=axis)
-            a = upper - np.take(total, np.arange(n), axis=axis)
-        return np.asarray(a / (2 * half + 1) ** 2, dtype=np.float64)
-
-    weight = known.astype(float)
-    filled = np.where(known, values, 0.0)
-    for _ in range(3):
-        filled, weight = box(filled), box(weight)
+    filled, weight = spread_out(np.where(known, values, 0.0), radius), spread_out(known.astype(float), radius)
     return np.where(known, filled / np.maximum(weight, 1e-12), np.nan)
+
+
+def spread_out(values: Array, radius: float) -> Array:
+    """Values spread over about a normal law of standard deviation `radius` cells (three boxes); what leaves the map is lost."""
+    half = max(1, round(np.sqrt(1 + 4 * radius**2) / 2 - 0.5))
+    for _ in range(3):
+        for axis in (0, 1):
+            padded = np.pad(values, [(half + 1, half) if d == axis else (0, 0) for d in (0, 1)])
+            total = np.cumsum(padded, axis=axis)
+            n = values.shape[axis]
+            upper = np.take(total, np.arange(n) + 2 * half + 1, axis=axis)
+            values = (upper - np.take(total, np.arange(n), axis=axis)) / (2 * half + 1)
+    return np.asarray(values, dtype=np.float64)
 
 
 def features(surface: Array, distance: Array, axes: Axes) -> tuple[Array, Array]:

@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
-from geomag.survey._fit import recalibrated
+from geomag.survey._fit import INTERCEPT_PRIOR, SLOPE_PRIOR, fit_recalibration, recalibrated
 from geomag.survey._folds import Fold
+from geomag.survey._levels import Levels
 from geomag.survey._lines import Array
 from geomag.survey._model import LEARNT_SPREAD, NU, REGISTRATION, Law, sigma_of
 from geomag.survey._steps import Steps
@@ -35,6 +36,11 @@ CORRELATION_PRIOR = (1.1, 0.55)
 SHARE_PRIOR = (0.5, 0.35)
 #: Statuses whose risk is no statement on the answer: the truth may lie elsewhere altogether.
 NO_STATEMENT = ("at_edge", "lost", "rejected")
+#: Parts of a window that are answered to as well, how unlikely an answer on a longer part may be for the shorter ones to be looked at, and the risks of
+#: which the first answer within them counts: what a stream stops at.
+PARTS = (0.85, 0.7, 0.55, 0.4)
+LIKELY = 0.5
+FIRST_RISKS = (0.1, 0.03, 0.01, 0.003)
 #: Levels of error that flights are simulated with for the forecast, and the most windows that it is learnt from.
 FORECAST_LEVELS = (1.0, 2.0, 4.0, 8.0)
 FORECAST_WINDOWS = 200
@@ -99,18 +105,22 @@ class Point:
 
 @dataclass
 class Outcome:
-    """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything."""
+    """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything.
+
+    `line` is that in log-odds by which the risks are then to be read.
+    """
 
     risk: Array
     error_m: Array
     wrong: npt.NDArray[np.bool_]
     stated: npt.NDArray[np.bool_]
+    line: tuple[float, float] = (1.0, 0.0)
     total: float = 0.0
 
     @property
     def loss(self) -> float:
-        """Mean log loss of the risks."""
-        risk = np.clip(self.risk, LEAST_RISK, 1 - LEAST_RISK)
+        """Mean log loss of the risks as they are declared."""
+        risk = np.clip(recalibrated(self.risk, self.line), LEAST_RISK, 1 - LEAST_RISK)
         return float(np.mean(-np.log(np.where(self.wrong, risk, 1 - risk))))
 
 
@@ -143,6 +153,8 @@ class Trials:
     rng: np.random.Generator
     steps: Steps
     correlation_prior: tuple[float, float] = CORRELATION_PRIOR
+    #: One a fold, or none.
+    levels: list[Levels] = field(default_factory=list)
     seen: dict[Point, Outcome] = field(default_factory=dict)
     _maps: dict[float, list[tuple[GridMap, Array]]] = field(default_factory=dict)
 
@@ -156,6 +168,7 @@ class Trials:
             [Track(x - o[0], y - o[1], v) for (x, y, v), o in zip(part.windows, offsets, strict=True)]
             for part, offsets in zip(self.parts, self._offsets, strict=True)
         ]
+        self._factors: list[Array | float] = [some.on(axes) for some in self.levels] or [1.0] * len(self.parts)
 
     def maps(self, share: float) -> list[tuple[GridMap, Array]]:
         """The maps of all folds with their sigma at a share of that of single samples, and the distances to the data."""
@@ -165,10 +178,10 @@ class Trials:
                 layered(
                     part.base,
                     np.asarray(part.base.values, dtype=float),
-                    sigma_of(*part.features, part.distance, self.law, a, b, c),
+                    sigma_of(*part.features, part.distance, self.law, a, b, c) * factor,
                     part.distance,
                 )
-                for part in self.parts
+                for part, factor in zip(self.parts, self._factors, strict=True)
             ]
         return self._maps[share]
 
@@ -176,32 +189,80 @@ class Trials:
         """What comes of the windows with an error model."""
         if point in self.seen:
             return self.seen[point]
+        outcome = self._answered(point, point.correlation, self._tracks, self._offsets)
+        known = np.isfinite(outcome.risk)
+        outcome = Outcome(outcome.risk[known], outcome.error_m[known], outcome.wrong[known], outcome.stated[known])
+        # What counts is the risk that is declared, so that every model is judged by its best line.
+        stated = outcome.stated
+        line = fit_recalibration(outcome.risk[stated], outcome.wrong[stated], self.independent, LEAST_RISK)
+        outcome.line = line
+        outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely(self.correlation_prior)
+        priors = zip(line, (SLOPE_PRIOR, INTERCEPT_PRIOR), strict=True)
+        outcome.total += sum(0.5 * ((value - centre) / spread) ** 2 for value, (centre, spread) in priors)
+        self.seen[point] = outcome
+        self.steps.add(1.0)
+        return outcome
+
+    def _answered(
+        self, point: Point, correlation: float, tracks: list[list[Track]], offsets: list[Array]
+    ) -> Outcome:
+        """What comes of tracks, fold by fold, with an error model; risk NaN where there is no answer."""
         risk, error, stated = [], [], []
-        for (grid, distance), some, offsets in zip(self.maps(point.share), self._tracks, self._offsets, strict=True):
+        for (grid, distance), some, true in zip(self.maps(point.share), tracks, offsets, strict=True):
             if not some:
                 continue
             model = grid.with_error_model(
                 nu=NU,
                 scale_spread=LEARNT_SPREAD,
-                correlation=point.correlation,
+                correlation=correlation,
                 registration=REGISTRATION,
                 distance_m=distance,
             )
             fixes = match_posterior_many(model, some, half_width=self._half, tolerance_m=self.settings.tolerance_m)
-            for fix, offset in zip(fixes, offsets, strict=True):
+            for fix, offset in zip(fixes, true, strict=True):
                 known = fix.risk is not None
                 risk.append(fix.risk if known else np.nan)
                 error.append(float(np.hypot(*((np.array(fix.offset) - offset) * self._scale))) if known else np.inf)
                 stated.append(known and fix.status not in NO_STATEMENT)
         away = np.array(error)
-        known = np.isfinite(np.array(risk))
-        outcome = Outcome(
-            np.array(risk)[known], away[known], away[known] > self.settings.tolerance_m, np.array(stated)[known]
-        )
-        outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely(self.correlation_prior)
-        self.seen[point] = outcome
-        self.steps.add(1.0)
-        return outcome
+        return Outcome(np.array(risk), away, away > self.settings.tolerance_m, np.array(stated, dtype=bool))
+
+    def first_answers(
+        self, point: Point, correlation: float, line: tuple[float, float]
+    ) -> tuple[Array, Array, npt.NDArray[np.bool_], Array]:
+        """Answers on growing parts of the windows that are the first within a risk: that risk, how many times shorter the part is, whether wrong, weight.
+
+        A stream stops at its first answer within its limit, on a track as short as that takes; the answers of one window share its weight.
+        """
+        n = self.settings.samples
+        whole = [(k, i) for k, some in enumerate(self._tracks) for i, track in enumerate(some) if len(track) == n]
+        seen: dict[tuple[int, int], list[tuple[float, float, bool]]] = {one: [] for one in whole}
+        left = whole
+        for size in sorted({max(3, round(part * n)) for part in PARTS}, reverse=True):
+            if size >= n or not left:
+                continue
+            groups = [[i for k, i in left if k == fold] for fold in range(len(self.parts))]
+            tracks = [
+                [Track(t.x[:size], t.y[:size], t.values[:size]) for t in (some[i] for i in group)]
+                for some, group in zip(self._tracks, groups, strict=True)
+            ]
+            offsets = [some[group] for some, group in zip(self._offsets, groups, strict=True)]
+            found = self._answered(point, correlation, tracks, offsets)
+            declared = recalibrated(found.risk, line)
+            ratio = (n - 1) / (size - 1)
+            order = [(k, i) for k, group in enumerate(groups) for i in group]
+            left = []
+            for one, risk, wrong, stated in zip(order, declared, found.wrong, found.stated, strict=True):
+                if stated and risk <= LIKELY:
+                    seen[one].append((float(risk), ratio, bool(wrong)))
+                    left.append(one)
+        rows = []
+        for answers in seen.values():
+            ordered = answers[::-1]
+            first = {next((k for k, a in enumerate(ordered) if a[0] <= limit), None) for limit in FIRST_RISKS} - {None}
+            rows += [(*ordered[k], self.independent / len(first)) for k in first if k is not None]
+        risk, ratio, wrong, weight = np.array(rows, dtype=float).reshape(-1, 4).T
+        return risk, ratio, wrong.astype(bool), weight
 
     def search(self) -> tuple[Point, float]:
         """The error model of the least loss of those that were tried, and the correlation length of the least loss about it."""

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result, require_not_negative, require_positive};
 
+/// Share of lapses beyond which a track is too short for any statement.
+const MOST_LAPSES: f64 = 0.9;
+
 /// Distance from the nodes of a map to the data that it was made from, metres.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum DistanceLayer {
@@ -43,6 +46,50 @@ pub struct MapErrorModel {
     /// How much worse than by the stated errors planned flights fare; `None` where that was not learnt.
     #[serde(default)]
     pub forecast: Option<Forecast>,
+    /// How often short tracks are wrong whatever their risk says; `None` where that was not learnt.
+    #[serde(default)]
+    pub lapses: Option<Lapses>,
+}
+
+/// How often a track shorter than those that risks were learnt on is wrong, whatever the posterior says of it.
+///
+/// A track of length l passes few features of the map. Where one of them stands wrong on the map, between two lines, the posterior
+/// is sure of a place beside the true one, and no line in log-odds tells such answers from right ones: what is left is a share of
+/// lapses, which falls as features are added, `share ((length / l)^2 - 1)`. A stream that stops at its first fix stops on the luckiest of
+/// short tracks, so that it is learnt from first answers of growing windows.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Lapses {
+    /// Share of lapses at 1 / sqrt(2) of the length.
+    pub share: f64,
+    /// Length of the tracks that risks were learnt on, from which on there are none beside those that the risk has in it, metres.
+    pub length_m: f64,
+}
+
+impl Lapses {
+    /// Checks the ranges of the numbers.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] naming the first parameter out of range.
+    pub fn validate(&self) -> Result<()> {
+        if require_not_negative("error model lapses share", self.share)? > 1.0 {
+            return Err(Error::invalid("error model lapses share", "a share in [0, 1]", self.share));
+        }
+        require_positive("error model lapses length_m", self.length_m)?;
+        Ok(())
+    }
+
+    /// Share of answers on tracks of this length that are wrong beside what their risk says.
+    pub fn of(&self, length_m: f64) -> f64 {
+        if length_m >= self.length_m {
+            return 0.0;
+        }
+        (self.share * ((self.length_m / length_m).powi(2) - 1.0)).min(MOST_LAPSES)
+    }
+
+    /// The risk of an answer on a track of this length that has a risk of `risk` on one as long as those learnt on.
+    pub fn risk(&self, risk: f64, length_m: f64) -> f64 {
+        1.0 - (1.0 - risk) * (1.0 - self.of(length_m))
+    }
 }
 
 /// From the computed risk of an answer to the share that proves wrong on lines left out of the map: a line in log-odds
@@ -169,6 +216,9 @@ impl MapErrorModel {
         if let Some(forecast) = &self.forecast {
             forecast.validate()?;
         }
+        if let Some(lapses) = &self.lapses {
+            lapses.validate()?;
+        }
         match &self.distance_m {
             DistanceLayer::Constant(d) => {
                 require_not_negative("error model distance_m", *d)?;
@@ -197,6 +247,19 @@ impl MapErrorModel {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lapses_fall_with_the_square_of_the_length() {
+        let lapses = Lapses { share: 0.02, length_m: 8000.0 };
+        assert_eq!([8000.0, 9000.0, f64::INFINITY].map(|l| lapses.of(l)), [0.0; 3]);
+        assert!((lapses.of(4000.0) - 0.06).abs() < 1e-15);
+        assert!((lapses.risk(0.1, 4000.0) - (1.0 - 0.9 * 0.94)).abs() < 1e-15);
+        assert_eq!(lapses.risk(0.3, 8000.0), 0.3);
+        assert_eq!([1.0, 0.0].map(|l| lapses.of(l)), [MOST_LAPSES; 2]);
+        assert_eq!(Lapses { share: 0.0, ..lapses }.of(4000.0), 0.0);
+        assert!(Lapses { share: -0.1, ..lapses }.validate().is_err() && Lapses { share: 1.1, ..lapses }.validate().is_err());
+        assert!(Lapses { length_m: 0.0, ..lapses }.validate().is_err() && lapses.validate().is_ok());
+    }
 
     #[test]
     fn recalibration_is_a_line_in_log_odds() {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
-use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, MapErrorModel, Recalibration};
+use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, Lapses, MapErrorModel, Recalibration};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -375,12 +375,13 @@ impl PyGridMap {
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
     /// defaults; without any the navigator uses its own. `recalibration` (slope, intercept) is a line in log-odds from the risk that the
     /// posterior computes to the one that is declared; `forecast` the factor on the map's errors in simulated flights and that on
-    /// the standard deviation foretold (`predict_many`). `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be
+    /// the standard deviation foretold (`predict_many`). `lapses` (share, metres) makes tracks shorter than that length riskier: of those of length l a
+    /// share times ((metres / l)^2 - 1) is taken to be wrong whatever the posterior says. `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be
     /// rejected, as in `match_posterior`.
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
                         batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
                         recalibration = None, forecast = None, layout = "given",
-                        misfit_threshold = None))]
+                        misfit_threshold = None, lapses = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -398,6 +399,7 @@ impl PyGridMap {
         forecast: Option<(f64, f64)>,
         layout: &str,
         misfit_threshold: Option<f64>,
+        lapses: Option<(f64, f64)>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
@@ -421,6 +423,7 @@ impl PyGridMap {
         });
         let recalibration = recalibration.map(|(slope, intercept)| Recalibration { slope, intercept });
         let forecast = forecast.map(|(level, spread)| Forecast { level, spread });
+        let lapses = lapses.map(|(share, length_m)| Lapses { share, length_m });
         let model = MapErrorModel {
             nu,
             scale_spread,
@@ -431,6 +434,7 @@ impl PyGridMap {
             recalibration,
             forecast,
             misfit_threshold,
+            lapses,
         };
         Ok(self.with_model(Some(model))?)
     }
@@ -472,6 +476,9 @@ impl PyGridMap {
         }
         if let Some(forecast) = &model.forecast {
             out.set_item("forecast", (forecast.level, forecast.spread))?;
+        }
+        if let Some(lapses) = &model.lapses {
+            out.set_item("lapses", (lapses.share, lapses.length_m))?;
         }
         if let Some(threshold) = model.misfit_threshold {
             out.set_item("misfit_threshold", threshold)?;
@@ -719,6 +726,7 @@ impl PyGridMap {
             pair("forecast")?,
             "values",
             optional("misfit_threshold")?,
+            pair("lapses")?,
         )
     }
 

@@ -5,7 +5,7 @@ use super::patch::DEFAULT_DISTANCE_CELLS;
 use crate::error::{Result, require_not_negative};
 use crate::field::Field;
 use crate::grid::{GridMap, Interpolation, MapSigma};
-use crate::map_error::{Forecast, Recalibration};
+use crate::map_error::{Forecast, Lapses, Recalibration};
 
 /// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
@@ -126,6 +126,7 @@ pub(super) struct Noise {
     pub registration: f64,
     /// How computed risks are to be read.
     pub recalibration: Option<Recalibration>,
+    pub lapses: Option<Lapses>,
     /// How planned flights fare.
     pub forecast: Option<Forecast>,
 }
@@ -231,6 +232,7 @@ impl Noise {
             correlation,
             registration,
             recalibration: model.and_then(|m| m.recalibration),
+            lapses: model.and_then(|m| m.lapses),
             forecast: model.and_then(|m| m.forecast),
         })
     }

@@ -125,12 +125,15 @@ impl Problem<'_> {
 
     /// The risk to declare for a computed one: as the most careful of the channels' maps has it.
     pub fn declared(&self, computed: f64) -> f64 {
-        self.channels
-            .iter()
-            .filter_map(|c| c.noise.recalibration)
-            .map(|r| r.risk(computed))
-            .reduce(f64::max)
-            .unwrap_or(computed)
+        let length_m = self.spacing_m * self.samples.saturating_sub(1) as f64;
+        let read = |c: &Prepared| {
+            let risk = c.noise.recalibration.map(|r| r.risk(computed));
+            match c.noise.lapses {
+                Some(lapses) => Some(lapses.risk(risk.unwrap_or(computed), length_m)),
+                None => risk,
+            }
+        };
+        self.channels.iter().filter_map(read).reduce(f64::max).unwrap_or(computed)
     }
 
     /// Map sigma at every indicated position, and the mean distance to the data.
