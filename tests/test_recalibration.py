@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
 import geomag
 from geomag.calibration import Calibration
 from geomag.survey import ErrorModel, limit_of_mean
-from geomag.survey._fit import fit_recalibration, recalibrated
+from geomag.survey._fit import fit_lapses, fit_recalibration, recalibrated
 from geomag.survey._steps import Steps
 
 
@@ -121,3 +123,38 @@ def test_progress_is_told_from_the_first_moment_on():
     steps.add(1.0)
     steps.add(9.0)
     assert told[1:] == [(50, 400), (100, 400), (400, 400)]
+
+
+def test_short_tracks_are_riskier_by_their_lapses(scene, tmp_path):
+    grid, tracks, base = scene
+    options = {"half_width": 1000.0, "sigma": 1.0, "tolerance_m": 150.0, "max_risk": 1e-12}
+    line, (share, length_m) = (0.8, 0.1), (0.02, 3500.0)
+    plain = grid.with_error_model(**base, recalibration=line)
+    lapsing = grid.with_error_model(**base, recalibration=line, lapses=(share, length_m))
+    assert lapsing.error_model["lapses"] == (share, length_m)
+    lapsing.save(tmp_path / "map.nc")
+    assert geomag.read_grid(tmp_path / "map.nc").error_model["lapses"] == (share, length_m)
+    assert pickle.loads(pickle.dumps(lapsing)).error_model["lapses"] == (share, length_m)
+    for streaming in (False, True):
+        before = geomag.match_posterior_many(plain, tracks, streaming=streaming, **options)
+        after = geomag.match_posterior_many(lapsing, tracks, streaming=streaming, **options)
+        lengths = [np.hypot(np.diff(t.x), np.diff(t.y)).sum() for t in tracks]
+        assert min(lengths) < length_m < max(lengths)
+        lapses = [max(0.0, share * ((length_m / length) ** 2 - 1)) for length in lengths]
+        expected = [1 - (1 - f.risk) * (1 - more) for f, more in zip(before, lapses, strict=True)]
+        np.testing.assert_allclose([f.risk for f in after], expected, rtol=1e-9, atol=1e-12)
+    for wrong in ((-0.1, 100.0), (1.5, 100.0), (0.1, 0.0), (np.nan, 100.0)):
+        with pytest.raises(geomag.InvalidInputError, match="lapses"):
+            grid.with_error_model(**base, lapses=wrong)
+
+
+def test_the_share_of_lapses_is_found():
+    rng = np.random.default_rng(5)
+    n = 20_000
+    risk, ratio = 10 ** rng.uniform(-4, -1, n), rng.choice([1.2, 1.5, 2.0], n)
+    for share in (0.0, 0.03):
+        wrong = rng.random(n) < 1 - (1 - risk) * (1 - share * (ratio**2 - 1))
+        found = fit_lapses(risk, ratio, wrong, np.ones(n))
+        assert found == pytest.approx(share, abs=0.004)
+    # Nothing seen: what is believed beforehand.
+    assert fit_lapses(risk[:0], ratio[:0], wrong[:0], risk[:0]) == pytest.approx(0.01, rel=0.05)

@@ -81,7 +81,7 @@ def fit_recalibration(risk: Array, wrong: npt.NDArray[np.bool_], weight: float, 
 def recalibrated(risk: Array, line: tuple[float, float]) -> Array:
     """Risks to declare for computed ones; 0 and 1 stay what they are."""
     inside = np.clip(risk, 1e-300, 1 - 1e-16)
-    odds = line[0] * (np.log(inside) - np.log1p(-inside)) + line[1]
+    odds = np.maximum(line[0] * (np.log(inside) - np.log1p(-inside)) + line[1], -700.0)
     return np.asarray(np.where((risk <= 0) | (risk >= 1), risk, 1 / (1 + np.exp(-odds))), dtype=np.float64)
 
 

@@ -51,7 +51,7 @@ class Levels:
         node = j[inside] * axes.x[2] + i[inside]
         shape = (axes.y[2], axes.x[2])
         total, count = (
-            spread_out(np.bincount(node, weights, shape[0] * shape[1]).reshape(shape), radius)
+            spread_out(np.bincount(node, weights, shape[0] * shape[1]).astype(float).reshape(shape), radius)
             for weights in (self.log_ratio[inside], np.ones(node.size))
         )
         # What one sample counts for at its own place.

@@ -203,9 +203,7 @@ class Trials:
         self.steps.add(1.0)
         return outcome
 
-    def _answered(
-        self, point: Point, correlation: float, tracks: list[list[Track]], offsets: list[Array]
-    ) -> Outcome:
+    def _answered(self, point: Point, correlation: float, tracks: list[list[Track]], offsets: list[Array]) -> Outcome:
         """What comes of tracks, fold by fold, with an error model; risk NaN where there is no answer."""
         risk, error, stated = [], [], []
         for (grid, distance), some, true in zip(self.maps(point.share), tracks, offsets, strict=True):
@@ -261,8 +259,8 @@ class Trials:
             ordered = answers[::-1]
             first = {next((k for k, a in enumerate(ordered) if a[0] <= limit), None) for limit in FIRST_RISKS} - {None}
             rows += [(*ordered[k], self.independent / len(first)) for k in first if k is not None]
-        risk, ratio, wrong, weight = np.array(rows, dtype=float).reshape(-1, 4).T
-        return risk, ratio, wrong.astype(bool), weight
+        columns = np.array(rows, dtype=float).reshape(-1, 4).T
+        return columns[0], columns[1], columns[2].astype(bool), columns[3]
 
     def search(self) -> tuple[Point, float]:
         """The error model of the least loss of those that were tried, and the correlation length of the least loss about it."""
