@@ -12,7 +12,8 @@ second derivative C of the map:
 with L half the line spacing and n the noise of the lines themselves (from their second differences). `b G D` is a feature displaced
 by a part of the gap, `c C D^2` one that no line has seen, `a` what is between the lines where the map is flat. All of them vanish on
 a line: that is what keeps a track in a gap from being taken for the next line, which it resembles most. Samples follow a
-Student-t law; their effective number follows from a correlation length in units of D. Source: geomag's own, from the statistics of
+Student-t law; their effective number follows from a correlation length in units of D. What the formula leaves out goes over kilometres: sigma is
+multiplied by a factor from place to place, the errors of the lines left out over their sigma, smoothed over three line spacings. Source: geomag's own, from the statistics of
 two aeromagnetic surveys (docs/calibration-report.md); the gridding is Briggs (1974), Smith and Wessel (1990).
 
 A map honours its lines, unless those that are left out clearly fit a smoother one: then it is a smoothing spline (Wahba, Spline models for

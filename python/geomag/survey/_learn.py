@@ -47,9 +47,9 @@ def learn_errors(
     """Learn the error model of a map from its own lines.
 
     A `folds`-th of the lines is left out at a time (neighbouring lines in different folds; six folds where there are lines enough), the others are
-    gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors, window by window for the correlation,
-    which is the one whose declared risks have the least log loss, and for the line in log-odds by which risks are then to be read. Nothing
-    is tuned by hand and nothing but the lines goes in.
+    gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors and for where they are larger or smaller, window
+    by window for the correlation and the line in log-odds by which risks are then to be read, those whose declared risks have the least log loss, and on
+    growing parts of windows for how often short tracks are wrong whatever their risk says. Nothing is tuned by hand and nothing but the lines goes in.
 
     `spacing_m` (metres between samples), `half_width_m` (bound of the start error per axis), `tolerance_m` and `samples` are those that will be flown: what is learnt
     holds best where it was learnt. Where nothing is said windows have 40 samples 0.6 line spacings apart, start up to 4 spacings away, and are wrong
