@@ -257,7 +257,9 @@ mod tests {
         assert_eq!(lapses.risk(0.3, 8000.0), 0.3);
         assert_eq!([1.0, 0.0].map(|l| lapses.of(l)), [MOST_LAPSES; 2]);
         assert_eq!(Lapses { share: 0.0, ..lapses }.of(4000.0), 0.0);
-        assert!(Lapses { share: -0.1, ..lapses }.validate().is_err() && Lapses { share: 1.1, ..lapses }.validate().is_err());
+        assert!(
+            Lapses { share: -0.1, ..lapses }.validate().is_err() && Lapses { share: 1.1, ..lapses }.validate().is_err()
+        );
         assert!(Lapses { length_m: 0.0, ..lapses }.validate().is_err() && lapses.validate().is_ok());
     }
 
