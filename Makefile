@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUST := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 
-.PHONY: fuzz-readers demo test test-rust test-python bench bench-smoke lint stubs docs build clean help
+.PHONY: fuzz-readers demo test test-rust test-python bench bench-smoke lint stubs docs build clean help fuzz soak leaks overflow sanitize valgrind
 
 help:
 	@echo "make demo   build everything and do the main job, with a picture in out/"
@@ -13,6 +13,9 @@ help:
 	@echo "make bench  criterion benches and the side-by-side tables, kept and written up in docs/reports/benchmarks.md"
 	@echo "make lint   formatting, clippy, ruff, mypy, stubs against the module"
 	@echo "make docs   the site, with the API of both languages"
+	@echo "make fuzz   a million hostile cases a target, and hostile files (an hour; FUZZ_RUNS=, TARGET=)"
+	@echo "make soak   a week of navigation at 1 Hz"
+	@echo "make leaks, overflow, sanitize, valgrind   memory and arithmetic under watch (docs/hardening.md)"
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -60,6 +63,30 @@ bench: $(VENV)/built $(VENV)/dev
 bench-smoke: $(VENV)/built $(VENV)/dev
 	cargo bench --locked -- --test
 	$(BIN)/python benches/peers/run.py --smoke
+
+FUZZ_RUNS ?= 1000000
+TARGET ?=
+# Cases by structure under libFuzzer's coverage, on the stable compiler, then files and lines for the readers.
+fuzz: $(VENV)/built $(VENV)/dev
+	fuzz/run.sh $(FUZZ_RUNS) $(TARGET)
+	$(if $(TARGET),,$(MAKE) fuzz-readers)
+
+soak: $(VENV)/built
+	$(BIN)/python benches/soak.py
+
+leaks: $(VENV)/built $(VENV)/dev
+	$(BIN)/python tests/leaks.py 1000000
+
+# The optimised build, as it ships, with the arithmetic of the test build.
+overflow:
+	RUSTFLAGS="-C overflow-checks=on -C debug-assertions=on" CARGO_TARGET_DIR=target/overflow \
+		cargo test --release -p geomag-core -p geomag-fuzz-targets --locked --quiet
+
+sanitize:
+	tests/sanitize.sh
+
+valgrind: $(VENV)/built $(VENV)/dev
+	tests/valgrind.sh $(BIN)/python
 
 lint: $(VENV)/built $(VENV)/dev stubs
 	cargo fmt --all --check

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -73,3 +76,47 @@ def test_readings_of_a_navigator_too():
     nav = geomag.FieldNavigator(grid, start=(300.0, 500.0), covariance_m2=100.0, reading_sigma=1.0)
     together(1, lambda _: nav.step(1.0, 5.0, 90.0, Curious(lambda: nav.position, [3.0])))
     assert nav.n_steps == 1
+
+
+FORKED = """
+import multiprocessing, sys
+import numpy as np, geomag
+X = np.arange(0.0, 4000.0, 50.0)
+GRID = geomag.GridMap(np.random.default_rng(1).normal(0, 30, (80, 80)), X, X)
+K = np.arange(20.0)
+TRACK = geomag.Track(1000 + 40 * K, 1200 + 30 * K, GRID.sample(1000 + 40 * K, 1200 + 30 * K))
+
+
+def work(deeper):
+    matcher = geomag.PosteriorMatcher(GRID, half_width=300.0, sigma=0.5)
+    stream = [repr(matcher.update(x, y, z)) for x, y, z in zip(TRACK.x[:8], TRACK.y[:8], TRACK.values[:8])]
+    out = [repr(geomag.match_grid(GRID, TRACK, half_width=1900.0)), repr(geomag.match_posterior(GRID, TRACK, half_width=300.0, sigma=0.5)), stream]
+    if deeper:
+        queue = multiprocessing.get_context("fork").Queue()
+        child = multiprocessing.get_context("fork").Process(target=lambda: queue.put(work(False)))
+        child.start()
+        out.append(queue.get(timeout=60) == out)
+        child.join()
+    return out
+
+
+if __name__ == "__main__":
+    alone = work(False)
+    with multiprocessing.get_context(sys.argv[1]).Pool(2) as pool:
+        got = pool.map_async(work, [False] * 4).get(timeout=90)
+    assert all(g == alone for g in got)
+    if sys.argv[1] == "fork":
+        assert work(True)[-1]
+    print("the same")
+"""
+
+
+@pytest.mark.parametrize("how", ["spawn", "forkserver", "fork"])
+def test_other_processes_compute_the_same(how, tmp_path):
+    """A fork copies no thread but one: a child of a process that has computed with several must not wait for the others."""
+    if how not in multiprocessing.get_all_start_methods():
+        pytest.skip("this system starts no processes that way")
+    script = tmp_path / "forked.py"
+    script.write_text(FORKED)
+    out = subprocess.run([sys.executable, str(script), how], capture_output=True, text=True, timeout=150, check=False)
+    assert out.stdout.strip() == "the same", out.stderr[-2000:]

@@ -1,4 +1,4 @@
-//! Where a coordinate can lie at all. Finite is not enough: blanks of old formats (-1e32, 9.97e36) are finite, and an index made
+//! Where a coordinate can lie at all, and how large a value can be. Finite is not enough: blanks of old formats (-1e32, 9.97e36) are finite, and an index made
 //! of one overflows.
 //!
 //! Every place that enters passes here (tracks, samples of a stream, axes, paths), so that nothing further down has to ask.
@@ -10,6 +10,9 @@ use crate::error::{Error, Result, require_finite};
 pub const FARTHEST_M: f64 = 1e8;
 /// Greatest size of a longitude, degrees: ten turns.
 pub const MOST_LONGITUDE_DEG: f64 = 3600.0;
+/// Greatest size of a value, of a map or a reading, in whatever unit: the Earth's field in femtotesla is 5e10. Blanks of old formats
+/// lie beyond, and squares within are numbers in single precision.
+pub const MOST_VALUE: f64 = 1e15;
 /// Least spacing of an axis and least step of a lattice, map units: positions in cells of it are whole numbers that a double holds.
 pub const LEAST_STEP: f64 = 1e-7;
 
@@ -58,6 +61,42 @@ pub fn require_place(what: &str, geographic: bool, place: [f64; 2]) -> Result<()
     Ok(())
 }
 
+/// Refuses values with one that no field has, naming the first: `{what}[{index}]`.
+///
+/// # Errors
+/// [`Error::NotFinite`], [`Error::Invalid`] beyond [`MOST_VALUE`].
+pub fn require_values(what: &str, values: &[f64]) -> Result<()> {
+    match values.iter().position(|v| !(v.abs() <= MOST_VALUE)) {
+        None => Ok(()),
+        Some(k) if values[k].is_finite() => require(|| format!("{what}[{k}]"), values[k], MOST_VALUE, "a value"),
+        Some(_) => require_finite(what, values),
+    }
+}
+
+/// Refuses a standard deviation, or a ratio of such, that is no number from 0 to [`MOST_VALUE`].
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_spread(what: &str, value: f64) -> Result<f64> {
+    if (0.0..=MOST_VALUE).contains(&value) {
+        Ok(value)
+    } else {
+        Err(Error::invalid(what, format!("a finite number >= 0, at most {MOST_VALUE}"), value))
+    }
+}
+
+/// Refuses a length or a distance that is no number of metres from 0 to twice [`FARTHEST_M`].
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_distance_m(what: &str, value: f64) -> Result<f64> {
+    if (0.0..=2.0 * FARTHEST_M).contains(&value) {
+        Ok(value)
+    } else {
+        Err(Error::invalid(what, format!("a finite number >= 0, at most {} m", 2.0 * FARTHEST_M), value))
+    }
+}
+
 /// Refuses an extent or a step of a search that is longer than the Earth.
 ///
 /// # Errors
@@ -82,5 +121,11 @@ mod tests {
         assert_eq!(pole, "sample y: needed a latitude (degrees) within +-90, got 90.1");
         assert!(matches!(require_place("sample", true, [f64::NAN, 0.0]), Err(Error::NotFinite { .. })));
         assert!(require_extent("half_width x", 1e9).is_err());
+        let blank = require_values("track values", &[1.0, -1e32]).unwrap_err().to_string();
+        assert_eq!(
+            blank,
+            "track values[1]: needed a value within +-1000000000000000, got -100000000000000000000000000000000"
+        );
+        assert!(matches!(require_values("track values", &[f64::NAN, 1e32]), Err(Error::NotFinite { index: 0, .. })));
     }
 }

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::MOST_LONGITUDE_DEG;
+use crate::bounds::{FARTHEST_M, MOST_LONGITUDE_DEG};
 use crate::constants::{WGS84_A_M, WGS84_E2};
 use crate::error::{Error, Result};
 
@@ -144,6 +144,10 @@ impl LocalFrame {
         }
         let (radius, e2) = earth.shape();
         crate::error::require_positive("sphere radius_m", radius)?;
+        if height_m > FARTHEST_M || radius > FARTHEST_M {
+            let needed = format!("heights and radii within {FARTHEST_M} m");
+            return Err(Error::invalid("frame", needed, format!("{height_m} above {radius}")));
+        }
         // The normals of an ellipsoid cross within a (1 - e^2) of the centre: below that, coordinates are not unique.
         if height_m <= -radius * (1.0 - e2) * 0.9 {
             return Err(Error::invalid("frame height_m", "an origin well above the Earth's centre", height_m));

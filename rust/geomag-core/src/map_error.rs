@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::{FARTHEST_M, require_distance_m, require_spread};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 
 /// Share of lapses beyond which a track is too short for any statement.
@@ -184,10 +185,13 @@ impl FilterLaw {
     /// # Errors
     /// [`Error::Invalid`] naming the first parameter out of range.
     pub fn validate(&self) -> Result<()> {
-        require_positive("error model sample_factor", self.sample_factor)?;
-        require_positive("error model batch_factor", self.batch_factor)?;
-        require_not_negative("error model crossover", self.crossover)?;
-        require_not_negative("error model registration_m_per_d", self.registration_m_per_d)?;
+        require_positive(
+            "error model sample_factor",
+            require_spread("error model sample_factor", self.sample_factor)?,
+        )?;
+        require_positive("error model batch_factor", require_spread("error model batch_factor", self.batch_factor)?)?;
+        require_spread("error model crossover", self.crossover)?;
+        require_spread("error model registration_m_per_d", self.registration_m_per_d)?;
         require_positive("error model registration_length", self.registration_length)?;
         Ok(())
     }
@@ -201,9 +205,9 @@ impl MapErrorModel {
     /// the map's `nodes`.
     pub fn validate(&self, nodes: usize) -> Result<()> {
         require_positive("error model nu", self.nu)?;
-        require_not_negative("error model scale_spread", self.scale_spread)?;
-        require_not_negative("error model correlation", self.correlation)?;
-        require_not_negative("error model registration", self.registration)?;
+        require_spread("error model scale_spread", self.scale_spread)?;
+        require_spread("error model correlation", self.correlation)?;
+        require_spread("error model registration", self.registration)?;
         if let Some(threshold) = self.misfit_threshold {
             require_positive("error model misfit_threshold", threshold)?;
         }
@@ -221,7 +225,7 @@ impl MapErrorModel {
         }
         match &self.distance_m {
             DistanceLayer::Constant(d) => {
-                require_not_negative("error model distance_m", *d)?;
+                require_distance_m("error model distance_m", *d)?;
             }
             DistanceLayer::Grid(layer) => {
                 if layer.len() != nodes {
@@ -231,10 +235,12 @@ impl MapErrorModel {
                         format!("{} values", layer.len()),
                     ));
                 }
-                if let Some(i) = layer.iter().position(|d| d.is_infinite() || *d < 0.0) {
+                if let Some(i) =
+                    layer.iter().position(|d| !d.is_nan() && require_distance_m("", f64::from(*d)).is_err())
+                {
                     return Err(Error::invalid(
                         format!("error model distance_m[{i}]"),
-                        "a number >= 0 (NaN where unknown)",
+                        format!("a number >= 0, at most {} (NaN where unknown)", 2.0 * FARTHEST_M),
                         layer[i],
                     ));
                 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::require_places;
+use crate::bounds::{require_places, require_values};
 use crate::error::{Error, Result, require_finite, require_weights};
 
 /// Indicated positions and measured values, oldest first.
@@ -30,7 +30,7 @@ impl Track {
     ///
     /// # Errors
     /// [`Error::TooFewSamples`] without a sample, [`Error::Shape`] for unequal lengths, [`Error::NotFinite`] naming the
-    /// first bad sample, [`Error::Invalid`] where a coordinate is out of bounds ([`require_places`]) or time runs backwards.
+    /// first bad sample, [`Error::Invalid`] where a coordinate or a value is out of bounds ([`require_places`], [`require_values`]) or time runs backwards.
     pub fn new(x: Vec<f64>, y: Vec<f64>, values: Vec<f64>, time_s: Option<Vec<f64>>) -> Result<Self> {
         let n = x.len();
         for (name, len) in [("y", y.len()), ("values", values.len()), ("time_s", time_s.as_ref().map_or(n, Vec::len))] {
@@ -43,7 +43,7 @@ impl Track {
         }
         // What coordinates they are is the map's to say; a matcher asks again with it.
         require_places("track", false, &x, &y)?;
-        require_finite("track values", &values)?;
+        require_values("track values", &values)?;
         if let Some(time) = &time_s {
             require_finite("track time_s", time)?;
             if let Some(i) = time.windows(2).position(|w| w[1] < w[0]) {

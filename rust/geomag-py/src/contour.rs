@@ -88,7 +88,7 @@ pub fn py_closest_contour_point<'py>(
 ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     let map = grid_map("grid", grid)?;
     let ([x, y, value], shape) = broadcast(["x", "y", "value"], [x, y, value])?;
-    let found = py.detach(|| {
+    let found = crate::pool::detached(py, || {
         (0..x.len())
             .map(|i| {
                 let nowhere = [f64::NAN; 3];

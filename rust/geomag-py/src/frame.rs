@@ -100,8 +100,9 @@ impl PyLocalFrame {
                 let names = ["latitude_deg", "longitude_deg", "vector", "vector", "vector"];
                 let ([lat, lon, n, e, d], shape) = broadcast(names, [latitude_deg, longitude_deg, &n, &e, &d])?;
                 require_latitudes(&lat)?;
-                let turned =
-                    py.detach(|| (0..n.len()).map(|i| turn(frame, lat[i], lon[i], [n[i], e[i], d[i]])).collect());
+                let turned = crate::pool::detached(py, || {
+                    (0..n.len()).map(|i| turn(frame, lat[i], lon[i], [n[i], e[i], d[i]])).collect()
+                });
                 stacked(py, turned, &shape)
             }
             3 => {
@@ -109,8 +110,9 @@ impl PyLocalFrame {
                 let names = ["latitude_deg", "longitude_deg", "north", "east", "down"];
                 let ([lat, lon, n, e, d], shape) = broadcast(names, [latitude_deg, longitude_deg, &n, &e, &d])?;
                 require_latitudes(&lat)?;
-                let turned =
-                    py.detach(|| (0..n.len()).map(|i| turn(frame, lat[i], lon[i], [n[i], e[i], d[i]])).collect());
+                let turned = crate::pool::detached(py, || {
+                    (0..n.len()).map(|i| turn(frame, lat[i], lon[i], [n[i], e[i], d[i]])).collect()
+                });
                 Ok(triple(py, turned, &shape)?.into_pyobject(py)?.into_any())
             }
             other => Err(invalid("vector", "one array (..., 3) or three arrays north, east, down", other)),
@@ -182,7 +184,8 @@ impl PyLocalFrame {
         let names = ["latitude_deg", "longitude_deg", "height_m"];
         let ([lat, lon, h], shape) = broadcast(names, [latitude_deg, longitude_deg, height_m.unwrap_or(&zero)])?;
         require_latitudes(&lat)?;
-        let out = py.detach(|| (0..lat.len()).map(|i| self.inner.forward(lat[i], lon[i], h[i])).collect());
+        let out =
+            crate::pool::detached(py, || (0..lat.len()).map(|i| self.inner.forward(lat[i], lon[i], h[i])).collect());
         triple(py, out, &shape)
     }
 
@@ -195,7 +198,7 @@ impl PyLocalFrame {
         down_m: &Bound<'py, PyAny>,
     ) -> PyRes<Triple<'py>> {
         let ([n, e, d], shape) = broadcast(["north_m", "east_m", "down_m"], [north_m, east_m, down_m])?;
-        let out = py.detach(|| (0..n.len()).map(|i| self.inner.inverse([n[i], e[i], d[i]])).collect());
+        let out = crate::pool::detached(py, || (0..n.len()).map(|i| self.inner.inverse([n[i], e[i], d[i]])).collect());
         triple(py, out, &shape)
     }
 

@@ -582,7 +582,7 @@ impl PyGridMap {
     ) -> PyRes<Bound<'py, PyAny>> {
         let method = interpolation(method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let values = py.detach(|| self.inner.sample_many(&x, &y, method));
+        let values = crate::pool::detached(py, || self.inner.sample_many(&x, &y, method));
         shaped(py, values, &shape)
     }
 
@@ -597,7 +597,7 @@ impl PyGridMap {
     ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let method = interpolation(method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let (east, north) = py.detach(|| {
+        let (east, north) = crate::pool::detached(py, || {
             x.iter()
                 .zip(&y)
                 .map(|(&x, &y)| self.inner.sample_and_gradient(x, y, method).1)
@@ -618,7 +618,7 @@ impl PyGridMap {
     ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let [half_x, half_y] = crate::arrays::pair("half_width", half_width)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let (least, greatest) = py.detach(|| {
+        let (least, greatest) = crate::pool::detached(py, || {
             x.iter()
                 .zip(&y)
                 .map(|(&x, &y)| self.inner.bounds(x, y, half_x, half_y).unwrap_or((f64::NAN, f64::NAN)))

@@ -47,6 +47,6 @@ pub fn py_distance_to_data<'py>(
 ) -> PyRes<Bound<'py, PyAny>> {
     let (x, y) = (vector("x", x)?, vector("y", y)?);
     let (xs, ys) = (Axis::new(x_axis.0, x_axis.1, x_axis.2)?, Axis::new(y_axis.0, y_axis.1, y_axis.2)?);
-    let out = py.detach(|| distance_to_data(&x, &y, &xs, &ys, cell_m.into()))?;
+    let out = crate::pool::detached(py, || distance_to_data(&x, &y, &xs, &ys, cell_m.into()))?;
     shaped(py, out, &[ys.len(), xs.len()])
 }

@@ -38,7 +38,8 @@ pub fn bound_block<'py>(
     };
     let y = vector("block y", y)?;
     let flat: Vec<f64> = values.as_array().iter().copied().collect();
-    let bounds = py.detach(|| options.bound(&Block { values: &flat, y: &y, columns, spacing, geographic }))?;
+    let bounds =
+        crate::pool::detached(py, || options.bound(&Block { values: &flat, y: &y, columns, spacing, geographic }))?;
     let wide = |v: Vec<f32>| shaped(py, v.into_iter().map(f64::from).collect(), &[rows, columns]);
     bounds.into_iter().map(|b| Ok((wide(b.error_m)?, wide(b.samples)?))).collect()
 }

@@ -41,6 +41,7 @@ mod long_call;
 mod main_field;
 mod map_navigator;
 mod navigator;
+mod pool;
 mod posterior;
 mod sequence;
 mod stack;
@@ -104,6 +105,7 @@ mod _geomag {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        crate::pool::register(module)?;
         module.add("instruction_sets", PyTuple::new(module.py(), geomag_core::instructions::available())?)?;
         module.add(
             "instruction_set",

@@ -28,12 +28,13 @@ impl<T: Send> Shared<T> {
 
     /// Short work: the interpreter is kept while it is done, not while it is waited for.
     pub fn with<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T) -> R + Send) -> R {
-        work(&mut self.0.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner))
+        let state = &mut *self.0.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner);
+        crate::pool::working(|| work(state))
     }
 
     /// Long work: other Python threads run meanwhile.
     pub fn detached<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut T) -> R + Send) -> R {
-        py.detach(|| self.alone(work))
+        crate::pool::detached(py, || self.alone(work))
     }
 
     /// For whoever has let the interpreter go already.

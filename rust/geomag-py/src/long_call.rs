@@ -86,7 +86,7 @@ pub fn run<T: Send>(
     };
     let work = move |monitor: &dyn Monitor| match &pool {
         Some(pool) => pool.install(|| work(monitor)),
-        None => work(monitor),
+        None => crate::pool::working(|| work(monitor)),
     };
     if report.is_none() && units < SHORT {
         return Ok(py.detach(|| work(&Quiet))?);

@@ -440,7 +440,7 @@ impl PyNavigator {
         let path: Vec<Indicated> =
             (0..log.time_s.len()).map(|k| Indicated { value: Some(0.0), ..log.input().at(k) }).collect();
         let ahead = self.inner.with(py, |n| n.clone());
-        let bound = py.detach(|| ahead.predict_bound(&path))?;
+        let bound = crate::pool::detached(py, || ahead.predict_bound(&path))?;
         shaped(py, bound.iter().flat_map(|c| c.concat()).collect(), &[bound.len(), 2, 2])
     }
 

@@ -134,7 +134,7 @@ impl PyFieldSensor {
     fn read<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
         let ([x, y], mut shape) = broadcast(["x", "y"], [x, y])?;
         let width = self.inner.len();
-        let out = py.detach(|| {
+        let out = crate::pool::detached(py, || {
             let places: Vec<[f64; 2]> = x.iter().zip(&y).map(|(&x, &y)| [x, y]).collect();
             let mut out = vec![0.0; width * places.len()];
             self.inner.read(&places, &mut out);
@@ -416,7 +416,8 @@ impl PyFieldNavigator {
             return Err(Error::shape("path", "(n, 2): x, y", format!("({rows}, {columns})")).into());
         }
         let navigator = self.inner.with(py, |n| n.clone());
-        let bounds = py.detach(|| navigator.bound(values.as_chunks::<2>().0, dt_s, speed_m_s, course_deg))?;
+        let bounds =
+            crate::pool::detached(py, || navigator.bound(values.as_chunks::<2>().0, dt_s, speed_m_s, course_deg))?;
         shaped(py, bounds.as_flattened().as_flattened().to_vec(), &[rows, 2, 2])
     }
 

@@ -38,7 +38,7 @@ pub fn py_delta_modulation<'py>(
     quantum: f64,
 ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     let values = vector("values", values)?;
-    let made = py.detach(|| delta_modulation(&values, quantum))?;
+    let made = crate::pool::detached(py, || delta_modulation(&values, quantum))?;
     Ok((indices(py, &made.keep), codes_array(py, &made.codes)))
 }
 

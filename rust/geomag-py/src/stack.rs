@@ -102,7 +102,8 @@ impl PyMapStack {
     ) -> PyRes<Bound<'py, PyAny>> {
         let method = interpolation(method)?;
         let ([x, y, h], shape) = broadcast(["x", "y", "height_m"], [x, y, height_m])?;
-        let values = py.detach(|| (0..x.len()).map(|i| self.inner.sample(x[i], y[i], h[i], method)).collect());
+        let values =
+            crate::pool::detached(py, || (0..x.len()).map(|i| self.inner.sample(x[i], y[i], h[i], method)).collect());
         shaped(py, values, &shape)
     }
 
@@ -111,7 +112,7 @@ impl PyMapStack {
     /// Raises `InvalidInputError` for a height below or above the stack.
     fn at(&self, py: Python<'_>, height_m: f64) -> PyRes<PyGridMap> {
         let lowest = self.levels[0].get();
-        Ok(lowest.named_alike(py.detach(|| self.inner.at(height_m))?))
+        Ok(lowest.named_alike(crate::pool::detached(py, || self.inner.at(height_m))?))
     }
 
     fn __len__(&self) -> usize {

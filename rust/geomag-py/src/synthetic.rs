@@ -264,10 +264,10 @@ pub fn fly<'py>(
     let sensor: SensorModel = settings("sensor", sensor_json)?;
     let flight = if let Ok(field) = field.cast::<PySyntheticField>() {
         let field = &field.get().inner;
-        py.detach(|| geomag_core::synthetic::fly(field, &path.inner, &ins, &sensor, seed))?
+        crate::pool::detached(py, || geomag_core::synthetic::fly(field, &path.inner, &ins, &sensor, seed))?
     } else if let Ok(map) = field.cast::<PyGridMap>() {
         let map = Arc::clone(&map.get().inner);
-        py.detach(|| geomag_core::synthetic::fly(&*map, &path.inner, &ins, &sensor, seed))?
+        crate::pool::detached(py, || geomag_core::synthetic::fly(&*map, &path.inner, &ins, &sensor, seed))?
     } else {
         return Err(invalid("field", "a SyntheticField or a GridMap", field.get_type()));
     };

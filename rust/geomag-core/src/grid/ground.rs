@@ -3,6 +3,9 @@
 use super::Axis;
 use crate::error::{Error, Result};
 
+/// Least scale of a projection, and one over the greatest: millimetres are not beyond it, nor kilometres.
+const LEAST: f64 = 1e-6;
+
 /// Metres on the ground per map unit, `[east, north]`, for every row of a projected map.
 ///
 /// On a Mercator map a metre on paper is less than one on the ground, and how much depends on the latitude alone: at 60 degrees
@@ -14,7 +17,7 @@ impl GroundScale {
     /// One pair for each of `rows` rows, y ascending.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::Invalid`] for what is no number > 0.
+    /// [`Error::Shape`], [`Error::Invalid`] for what is no scale of a map.
     pub(super) fn new(scale: Vec<[f64; 2]>, rows: usize) -> Result<Self> {
         if scale.len() != rows {
             return Err(Error::shape(
@@ -25,7 +28,10 @@ impl GroundScale {
         }
         for (row, pair) in scale.iter().enumerate() {
             for value in pair {
-                crate::error::require_positive(&format!("map ground_scale, row {row}"), *value)?;
+                if !(LEAST..=1.0 / LEAST).contains(value) {
+                    let needed = format!("metres a map unit, from {LEAST} to {}", 1.0 / LEAST);
+                    return Err(Error::invalid(format!("map ground_scale, row {row}"), needed, value));
+                }
             }
         }
         Ok(Self(scale))

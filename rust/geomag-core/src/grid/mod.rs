@@ -18,6 +18,7 @@ use axis::unwrap_longitudes;
 use ground::GroundScale;
 use nodes::{Holes, part};
 
+use crate::bounds::{MOST_VALUE, require_distance_m, require_spread};
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
@@ -86,7 +87,7 @@ impl GridMap {
                 format!("{} values", values.len()),
             ));
         }
-        refuse_infinite(&values, |row, column| [x[column], y[row]], x.len())?;
+        refuse_blanks(&values, |row, column| [x[column], y[row]], x.len())?;
         let (x, reverse_columns) = match Axis::from_coordinates("x", x, resolution) {
             Err(Error::Invalid { .. }) if geographic => Axis::from_coordinates("x", &unwrap_longitudes(x), resolution)?,
             other => other?,
@@ -129,7 +130,7 @@ impl GridMap {
                 ));
             }
         }
-        refuse_infinite(&values, |row, column| [x.at(column), y.at(row)], x.len())?;
+        refuse_blanks(&values, |row, column| [x.at(column), y.at(row)], x.len())?;
         let mut sum = 0.0;
         let mut origin = f64::NAN;
         let mut holes = Holes::none(x.len());
@@ -173,7 +174,7 @@ impl GridMap {
         match &sigma {
             None => {}
             Some(MapSigma::Constant(s)) => {
-                crate::error::require_not_negative("map sigma", *s)?;
+                require_spread("map sigma", *s)?;
             }
             Some(MapSigma::Grid(grid)) => {
                 if grid.len() != self.values.len() {
@@ -183,10 +184,10 @@ impl GridMap {
                         format!("{} values", grid.len()),
                     ));
                 }
-                if let Some(i) = grid.iter().position(|s| s.is_infinite() || *s < 0.0) {
+                if let Some(i) = grid.iter().position(|s| !s.is_nan() && require_spread("", *s).is_err()) {
                     return Err(Error::invalid(
                         format!("map sigma[{i}]"),
-                        "a number >= 0 (NaN where unknown)",
+                        format!("a number >= 0, at most {MOST_VALUE} (NaN where unknown)"),
                         grid[i],
                     ));
                 }
@@ -205,7 +206,7 @@ impl GridMap {
     /// [`Error::Invalid`] for a negative or infinite one.
     pub fn with_correlation_m(mut self, correlation_m: Option<f64>) -> Result<Self> {
         if let Some(length) = correlation_m {
-            crate::error::require_not_negative("correlation_m", length)?;
+            require_distance_m("correlation_m", length)?;
         }
         self.correlation_m = correlation_m;
         Ok(self)
@@ -421,9 +422,13 @@ impl Field for GridMap {
 }
 
 /// Names the first infinite value by the row and column that the caller gave it in.
-fn refuse_infinite(values: &GridValues, place: impl Fn(usize, usize) -> [f64; 2], columns: usize) -> Result<()> {
-    let Some(i) = (0..values.len()).find(|&i| values.get(i).is_infinite()) else { return Ok(()) };
-    let (row, column) = (i / columns, i % columns);
+fn refuse_blanks(values: &GridValues, place: impl Fn(usize, usize) -> [f64; 2], columns: usize) -> Result<()> {
+    let Some(i) = (0..values.len()).find(|&i| values.get(i).abs() > MOST_VALUE) else { return Ok(()) };
+    let (row, column, got) = (i / columns, i % columns, values.get(i));
     let [x, y] = place(row, column);
-    Err(Error::NotFiniteNode { what: "map values".into(), row, column, x, y, got: values.get(i) })
+    if got.is_infinite() {
+        return Err(Error::NotFiniteNode { what: "map values".into(), row, column, x, y, got });
+    }
+    let what = format!("map values[{row}, {column}] at ({x}, {y})");
+    Err(Error::invalid(what, format!("a value within +-{MOST_VALUE} (NaN where there is none)"), got))
 }

@@ -1,7 +1,8 @@
 //! How far every node is from the nearest datum.
 
 use super::check;
-use crate::error::{Error, Result};
+use crate::bounds::require_distance_m;
+use crate::error::{Error, Result, require_positive};
 use crate::grid::Axis;
 
 /// Distance in metres from every node to the nearest datum, to within half a cell.
@@ -10,9 +11,12 @@ use crate::grid::Axis;
 /// Huttenlocher, Distance transforms of sampled functions, Theory of Computing 8 (2012) 415).
 ///
 /// # Errors
-/// [`Error::Shape`], [`Error::NotFinite`], [`Error::TooFewSamples`] where no point lies on the grid.
+/// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] for a cell that is no length above zero, [`Error::TooFewSamples`] where no point lies on the grid.
 pub fn distance_to_data(x: &[f64], y: &[f64], x_axis: &Axis, y_axis: &Axis, cell_m: [f64; 2]) -> Result<Vec<f64>> {
     check(x, y, x)?;
+    for (name, size) in [("cell_m east", cell_m[0]), ("cell_m north", cell_m[1])] {
+        require_distance_m(name, require_positive(name, size)?)?;
+    }
     let (columns, rows) = (x_axis.len(), y_axis.len());
     let mut square = vec![f64::INFINITY; columns * rows];
     let mut used = 0;

@@ -19,6 +19,8 @@ use crate::monitor::Monitor;
 const LEVELS: [usize; 4] = [8, 4, 2, 1];
 /// Times that the values at the data's nodes are brought up to date with the gradient, at each level.
 const ROUNDS: usize = 4;
+/// Narrowest cell, its width over its height: what degrees are next to a pole is not beyond it.
+const LEAST_ASPECT: f64 = 1e-6;
 
 /// Surface of least curvature through scattered points, at every node of the grid (row = y ascending, column = x).
 ///
@@ -30,7 +32,7 @@ const ROUNDS: usize = 4;
 /// (cell heights) keep what the coarsest level says.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a weight that is not above zero;
+/// [`Error::Invalid`] for an aspect that no cell has, a weight or a reach that is not above zero, or a value that no field has;
 /// [`Error::Shape`] for unequal lengths, [`Error::NotFinite`], [`Error::TooFewSamples`] where no point lies on the grid,
 /// [`Error::Interrupted`].
 #[allow(clippy::too_many_arguments)] // the parts of one equation
@@ -46,6 +48,10 @@ pub fn minimum_curvature(
 ) -> Result<Vec<f64>> {
     let [x, y, values] = points;
     check(x, y, values)?;
+    if !(LEAST_ASPECT..=1.0 / LEAST_ASPECT).contains(&aspect) {
+        let needed = format!("a ratio from {LEAST_ASPECT} to {}", 1.0 / LEAST_ASPECT);
+        return Err(Error::invalid("aspect", needed, aspect));
+    }
     if weight.is_nan() || weight <= 0.0 {
         return Err(Error::invalid("weight", "a number > 0", weight));
     }
@@ -101,6 +107,7 @@ fn check(x: &[f64], y: &[f64], values: &[f64]) -> Result<()> {
         }
         require_finite(name, v)?;
     }
+    crate::bounds::require_values("values", values)?;
     require_finite("x", x)
 }
 

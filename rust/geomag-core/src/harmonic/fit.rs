@@ -242,6 +242,7 @@ impl Prepared {
                     undetermined: solver.undetermined().to_vec(),
                     projected: observations.has_anomalies(),
                 };
+                crate::error::require_finite("residuals of the fit", &[summary.residual_rms, summary.unit_sigma])?;
                 return Ok((coefficients, solver, summary));
             }
             residuals = found;

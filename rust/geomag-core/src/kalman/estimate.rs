@@ -100,7 +100,7 @@ impl Estimate {
             return Err(Error::shape("factor of the covariance", format!("({n}, {n})"), got));
         }
         require_finite("state x", self.mean.as_slice())?;
-        require_finite("factor of the covariance", self.factor.as_slice())?;
+        require_square("factor of the covariance", &self.factor)?;
         for j in 0..n {
             if self.factor[(j, j)] < 0.0 || (0..j).any(|i| self.factor[(i, j)] != 0.0) {
                 let needed = "a lower triangle with a diagonal >= 0";
@@ -183,11 +183,11 @@ impl Estimate {
     pub(super) fn replace(&mut self, mean: DVector<f64>, columns: &DMatrix<f64>) -> Result<()> {
         require_finite("predicted state", mean.as_slice())?;
         let mut factor = triangular(columns);
-        require_finite("predicted covariance", factor.as_slice())?;
+        require_square("predicted covariance", &factor)?;
         let raised = raise_pivots(&mut factor, &self.factor);
         self.mean = mean;
         self.factor = factor;
-        self.regularisations += u64::from(raised);
+        self.regularisations = self.regularisations.saturating_add(u64::from(raised));
         Ok(())
     }
 
@@ -198,7 +198,7 @@ impl Estimate {
         let (factor, regularised) = factorise(what, covariance)?;
         self.mean = mean;
         self.factor = factor;
-        self.regularisations += u64::from(regularised);
+        self.regularisations = self.regularisations.saturating_add(u64::from(regularised));
         Ok(())
     }
 
@@ -216,7 +216,7 @@ impl Estimate {
         let (m, n) = (residual.len(), self.len());
         require_finite("innovation", residual.as_slice())?;
         let lower = triangular(joint);
-        require_finite("joint covariance of measurement and state", lower.as_slice())?;
+        require_square("joint covariance of measurement and state", &lower)?;
         let mut root = lower.view((0, 0), (m, m)).into_owned();
         for i in 0..m {
             let row = root.row(i).norm();
@@ -238,6 +238,7 @@ impl Estimate {
         };
         let accepted = gate.is_none_or(|limit| nis <= limit);
         let innovation = Innovation { residual, covariance: outer(&root), nis, gain: gain.transpose(), accepted };
+        require_finite("normalised innovation squared", &[nis])?;
         if accepted {
             let mean = &self.mean + &cross * whitened;
             require_finite("corrected state", mean.as_slice())?;
@@ -245,7 +246,7 @@ impl Estimate {
             let raised = raise_pivots(&mut factor, &self.factor);
             self.mean = mean;
             self.factor = factor;
-            self.regularisations += u64::from(raised);
+            self.regularisations = self.regularisations.saturating_add(u64::from(raised));
         }
         Ok(innovation)
     }
@@ -297,12 +298,13 @@ impl Estimate {
             root.solve_lower_triangular(&cross.transpose()).ok_or_else(|| not_definite("innovation covariance"))?;
         let gain = root.tr_solve_lower_triangular(&half).ok_or_else(|| not_definite("innovation covariance"))?;
         let nis = whitened.norm_squared();
+        require_finite("normalised innovation squared", &[nis])?;
         let accepted = gate.is_none_or(|limit| nis <= limit);
         if accepted {
             let mean = &self.mean + half.transpose() * &whitened;
             let covariance = self.covariance() - half.transpose() * &half;
             self.replace_full(mean, &covariance, "corrected covariance")?;
-            self.regularisations += u64::from(regularised);
+            self.regularisations = self.regularisations.saturating_add(u64::from(regularised));
         }
         Ok(Innovation { residual, covariance: outer(&root), nis, gain: gain.transpose(), accepted })
     }
@@ -507,6 +509,14 @@ pub(super) fn triangular(columns: &DMatrix<f64>) -> DMatrix<f64> {
         }
     }
     lower
+}
+
+/// Refuses a factor whose square is no finite matrix.
+fn require_square(what: &str, factor: &DMatrix<f64>) -> Result<()> {
+    match (0..factor.nrows()).find(|&i| !factor.row(i).norm_squared().is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(Error::NotFinite { what: what.into(), index, got: factor.row(index).amax() }),
+    }
 }
 
 #[cfg(test)]

@@ -80,6 +80,9 @@ pub(crate) fn closest_in_cells(
     }
 }
 
+/// A place further than this from the map, in cells, is nowhere: what a transform of nearly nothing makes of a track.
+const MOST_CELLS: u64 = 1 << 52;
+
 /// One search: cells are visited in square rings around the point until no unvisited cell can be nearer.
 struct Search<'a, T> {
     values: &'a [T],
@@ -107,6 +110,12 @@ impl<'a, T: Copy + Into<f64>> Search<'a, T> {
         let outside = |c: i64, last: i64| if c < 0 { c.saturating_neg() } else { (c - last).max(0) };
         // Cells of ring r lie within (r + 1) cell diagonals: rings inside the clear disc hold nothing.
         let cleared = (clear_m / self.cell_m[0].hypot(self.cell_m[1])) as i64;
+        // Beyond the farthest ring that touches the map there is nothing, however much is clear.
+        let farthest = [(cx, self.last[0]), (cy, self.last[1])].map(|(c, last)| c.unsigned_abs().max(last.abs_diff(c)));
+        let farthest = farthest[0].max(farthest[1]);
+        if farthest > MOST_CELLS || cleared > farthest as i64 {
+            return None;
+        }
         let mut ring = outside(cx, self.last[0]).max(outside(cy, self.last[1])).max(cleared);
         if ring == 0 {
             self.row(cy, cx, cx);

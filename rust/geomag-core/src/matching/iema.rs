@@ -8,9 +8,9 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::require_place;
+use crate::bounds::{require_place, require_values};
 use crate::constants::LN_SQRT_2PI;
-use crate::error::{Error, Result, require_finite, require_not_negative, require_positive, room};
+use crate::error::{Error, Result, require_not_negative, require_positive, room};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
@@ -290,7 +290,7 @@ impl Iema {
     /// As [`Iema::update`]; [`Error::Invalid`] for a height that the map does not serve.
     pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<IemaStep> {
         require_place("indicated", self.field.geographic(), [x, y])?;
-        require_finite("value", &[value])?;
+        require_values("value", &[value])?;
         if height_m.is_some() || self.field.as_stack().is_some() {
             let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
             check_heights(&*self.field, &sample)?;

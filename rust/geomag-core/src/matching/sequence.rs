@@ -72,7 +72,7 @@ impl DeltaModulator {
             return Err(Error::NotFinite { what: "delta modulation values".into(), index: self.count, got: value });
         }
         let number = self.count;
-        self.count += 1;
+        self.count = self.count.saturating_add(1);
         let Some(staircase) = self.staircase else {
             self.staircase = Some(value);
             return Ok(DeltaStep { number, code: None, chosen: false });

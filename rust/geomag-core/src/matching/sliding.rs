@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::require_place;
+use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
@@ -170,6 +170,7 @@ impl SlidingState {
         monitor: &dyn Monitor,
     ) -> Result<Fix> {
         require_finite("sample [x, y, value]", &[x, y, value])?;
+        require_values("sample value", &[value])?;
         require_place("sample", map.geographic(), [x, y])?;
         // All or nothing: what is refused on the way leaves the window as it was.
         let mut next = self.clone();
@@ -185,7 +186,7 @@ impl SlidingState {
             self.settled = Some(averaged(map, &oldest));
         }
         self.entries.push_back(Entry { number: self.count, x, y, value, weight: 0.0, sum: [0.0; 2], estimates: 0 });
-        self.count += 1;
+        self.count = self.count.saturating_add(1);
         if self.entries.len() < self.length {
             return Ok(Fix::none(Status::Searching, self.entries.len()));
         }

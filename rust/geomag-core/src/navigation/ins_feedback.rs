@@ -157,7 +157,7 @@ impl InsFeedback {
             model,
             geographic,
             // Chi-square with two degrees of freedom is exponential: its quantile is in closed form.
-            gate: -2.0 * (1.0 - gate_probability).ln(),
+            gate: -2.0 * (-gate_probability).ln_1p(),
             filter: ErrorStateFilter::new(DVector::zeros(5), &covariance)?,
             last: None,
             accepted: 0,
@@ -212,8 +212,8 @@ impl InsFeedback {
             let update = filter.update(&DVector::from_column_slice(&offset), &matrix, &noise, self.gate)?;
             nis = Some(update.nis);
             accepted = update.accepted;
-            self.accepted += usize::from(accepted);
-            self.refused += usize::from(!accepted);
+            self.accepted = self.accepted.saturating_add(usize::from(accepted));
+            self.refused = self.refused.saturating_add(usize::from(!accepted));
         }
         let after = self.corrected(&filter, x, y);
         self.filter = filter;

@@ -220,7 +220,7 @@ impl CrustSpec {
         let (sin_d, cos_d) = sin_cos(self.declination_deg.to_radians());
         let half_m =
             [0.5 * (extent[2] - extent[0]) * metres_per_unit[0], 0.5 * (extent[3] - extent[1]) * metres_per_unit[1]];
-        Ok(SyntheticField {
+        let field = SyntheticField {
             geographic,
             extent,
             origin,
@@ -231,7 +231,11 @@ impl CrustSpec {
             dipoles: self.draw_dipoles(half_m, sin_i, &mut Random::stream(seed, 11)),
             main_direction: [cos_i * cos_d, cos_i * sin_d, sin_i],
             finest_m: self.shortest_m,
-        })
+        };
+        // What the numbers of the spectrum make overflow is no field.
+        field.waves.iter().try_for_each(PlaneWave::check)?;
+        field.dipoles.iter().try_for_each(Dipole::check)?;
+        Ok(field)
     }
 
     /// Plane waves, one in each of `waves` equal steps of log wavenumber, in random directions.

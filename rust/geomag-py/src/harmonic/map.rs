@@ -41,7 +41,7 @@ impl PyHarmonicMap {
     /// Value at map coordinates `x`, `y` (any shape that broadcasts); NaN where the model does not answer.
     fn sample<'py>(&self, py: Python<'py>, x: &Bound<'py, PyAny>, y: &Bound<'py, PyAny>) -> PyRes<Bound<'py, PyAny>> {
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let values = py.detach(|| x.iter().zip(&y).map(|(&x, &y)| self.inner.value(x, y)).collect());
+        let values = crate::pool::detached(py, || x.iter().zip(&y).map(|(&x, &y)| self.inner.value(x, y)).collect());
         shaped(py, values, &shape)
     }
 
@@ -53,7 +53,7 @@ impl PyHarmonicMap {
         y: &Bound<'py, PyAny>,
     ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let (east, north) = py.detach(|| {
+        let (east, north) = crate::pool::detached(py, || {
             x.iter()
                 .zip(&y)
                 .map(|(&x, &y)| self.inner.value_and_gradient(x, y).1)
@@ -75,7 +75,7 @@ impl PyHarmonicMap {
             if reversed { Err(invalid(name, "ascending coordinates", "descending ones")) } else { Ok(axis) }
         };
         let (x, y) = (axis("x", x)?, axis("y", y)?);
-        let grid: GridMap = py.detach(|| self.inner.to_grid(x, y))?;
+        let grid: GridMap = crate::pool::detached(py, || self.inner.to_grid(x, y))?;
         let unit = self.inner.model().unit().to_owned();
         Ok(PyGridMap::from_core(grid, None, Some(unit), None).into_pyobject(py)?.into_any())
     }

@@ -145,7 +145,7 @@ impl PyHarmonicModel {
         let points = Points::new(axes[0], axes[1], axes[2])?;
         let positions = points.positions()?;
         let model = &*self.inner;
-        let values = py.detach(|| evaluate(model, &positions))?;
+        let values = crate::pool::detached(py, || evaluate(model, &positions))?;
         Ok((values, points.shape))
     }
 
@@ -575,7 +575,7 @@ impl PyHarmonicModel {
     ) -> PyRes<Bound<'py, PyAny>> {
         let (north, east) = (vector("north_m", north_m)?, vector("east_m", east_m)?);
         let model = &*self.inner;
-        let values = py.detach(|| model.field_grid(&north, &east, down_m, extrapolate))?;
+        let values = crate::pool::detached(py, || model.field_grid(&north, &east, down_m, extrapolate))?;
         stacked(py, values, &[north.len(), east.len()])
     }
 
@@ -593,7 +593,7 @@ impl PyHarmonicModel {
     ) -> PyRes<Bound<'py, PyAny>> {
         let names = ["latitude_deg", "longitude_deg", "height_m"];
         let ([lat, lon, h], shape) = broadcast(names, [latitude_deg, longitude_deg, height_m])?;
-        let values = py.detach(|| self.inner.field_geographic(&lat, &lon, &h, extrapolate))?;
+        let values = crate::pool::detached(py, || self.inner.field_geographic(&lat, &lon, &h, extrapolate))?;
         stacked(py, values, &shape)
     }
 
@@ -632,7 +632,7 @@ impl PyHarmonicModel {
     /// The model as text, or into the file `path`; without the covariance of the coefficients where `covariance` is false.
     #[pyo3(signature = (path = None, *, covariance = true))]
     fn to_json(&self, py: Python<'_>, path: Option<std::path::PathBuf>, covariance: bool) -> PyRes<Option<String>> {
-        let text = py.detach(|| {
+        let text = crate::pool::detached(py, || {
             if covariance { self.inner.to_json() } else { (*self.inner).clone().without_covariance().to_json() }
         })?;
         match path {
@@ -671,7 +671,7 @@ impl PyHarmonicModel {
                 std::fs::read_to_string(&path).map_err(|e| file_error(&path, &e))?
             }
         };
-        Ok(Self { inner: Arc::new(py.detach(|| RectangularHarmonicModel::from_json(&text))?) })
+        Ok(Self { inner: Arc::new(crate::pool::detached(py, || RectangularHarmonicModel::from_json(&text))?) })
     }
 
     /// Order of the model.

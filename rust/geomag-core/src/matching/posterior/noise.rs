@@ -2,7 +2,8 @@
 
 use super::options::{Channel, PosteriorOptions};
 use super::patch::DEFAULT_DISTANCE_CELLS;
-use crate::error::{Result, require_not_negative};
+use crate::bounds::require_spread;
+use crate::error::Result;
 use crate::field::Field;
 use crate::grid::{GridMap, Interpolation, MapSigma};
 use crate::map_error::{Forecast, Lapses, Recalibration};
@@ -200,7 +201,7 @@ impl Noise {
             level.log_prior -= total;
         }
         let sensor = match channel.sigma {
-            Some(s) => require_not_negative("sigma", s)?,
+            Some(s) => require_spread("sigma", s)?,
             None => 0.0,
         };
         // Without a word about the sensor a hundredth of the signal is taken: less cannot be told from a perfect map.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::{MOST_VALUE, require_distance_m, require_extent, require_spread};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::grid::Interpolation;
@@ -116,33 +117,33 @@ impl PosteriorOptions {
     /// # Errors
     /// [`Error::Invalid`] naming the first option out of range.
     pub fn validate(&self) -> Result<()> {
-        require_positive("half_width x", self.half_width[0])?;
-        require_positive("half_width y", self.half_width[1])?;
+        require_extent("half_width x", require_positive("half_width x", self.half_width[0])?)?;
+        require_extent("half_width y", require_positive("half_width y", self.half_width[1])?)?;
         if let Some([x, y]) = self.step {
-            require_positive("step x", x)?;
-            require_positive("step y", y)?;
+            require_extent("step x", require_positive("step x", x)?)?;
+            require_extent("step y", require_positive("step y", y)?)?;
         }
         if let Some(tolerance) = self.tolerance_m {
-            require_positive("tolerance_m", tolerance)?;
+            require_distance_m("tolerance_m", require_positive("tolerance_m", tolerance)?)?;
         }
         if !(self.max_risk > 0.0 && self.max_risk < 1.0) {
             return Err(Error::invalid("max_risk", "a probability between 0 and 1", self.max_risk));
         }
         if let Some(sigma) = self.bias_sigma {
-            require_not_negative("bias_sigma", sigma)?;
+            require_spread("bias_sigma", sigma)?;
         }
         for (name, value, most) in [
             ("drift_sigma_m", self.drift_sigma_m, MOST_DRIFT_M),
             ("heading_sigma_deg", self.heading_sigma_deg, 180.0),
             ("scale_sigma", self.scale_sigma, 1.0),
+            ("position_sigma_m", self.position_sigma_m, MOST_DRIFT_M),
+            ("leg_bias_sigma", self.leg_bias_sigma, MOST_VALUE),
+            ("bias_walk", self.bias_walk, MOST_VALUE),
         ] {
             if require_not_negative(name, value)? > most {
                 return Err(Error::invalid(name, format!("at most {most}"), value));
             }
         }
-        require_not_negative("position_sigma_m", self.position_sigma_m)?;
-        require_not_negative("leg_bias_sigma", self.leg_bias_sigma)?;
-        require_not_negative("bias_walk", self.bias_walk)?;
         if require_not_negative("height_sigma_m", self.height_sigma_m)? > MOST_HEIGHT_M {
             return Err(Error::invalid("height_sigma_m", format!("at most {MOST_HEIGHT_M}"), self.height_sigma_m));
         }

@@ -58,6 +58,8 @@ pub(crate) fn answer(
         let outside: f64 = minima.iter().zip(&masses).map(|(m, mass)| mass * mass_outside(tolerance, best, m)).sum();
         outside / total
     });
+    // A position that nothing holds has no mass anywhere.
+    let risk = if risk <= 1.0 { risk.max(0.0) } else { 1.0 };
     let freedom = (best.n_residuals as f64 - refiner.flat_parameters() as f64).max(1.0);
     let goodness = known.then(|| chi_square_survival(best.cost, freedom));
     let covariance = best.position_covariance();

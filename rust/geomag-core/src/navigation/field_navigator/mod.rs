@@ -14,7 +14,7 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use super::sensing::Sensing;
-use crate::bounds::require_place;
+use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::kalman::{
     Estimate, ExtendedKalmanFilter, Innovation, MAX_STATES, UnscentedKalmanFilter, chi_square_quantile,
@@ -304,9 +304,9 @@ impl FieldNavigator {
             if reading.len() != numbers {
                 return Err(Error::shape("reading", format!("({numbers},)"), format!("({},)", reading.len())));
             }
-            if let Some(index) = reading.iter().position(|v| v.is_infinite()) {
-                return Err(Error::NotFinite { what: "reading".into(), index, got: reading[index] });
-            }
+            // NaN is no reading.
+            let readings: Vec<f64> = reading.iter().map(|v| if v.is_nan() { 0.0 } else { *v }).collect();
+            require_values("reading", &readings)?;
         }
         // All or nothing: after an error nothing has moved.
         let before = self.state.clone();
@@ -322,7 +322,7 @@ impl FieldNavigator {
         self.predict(dt_s, speed_m_s, course_deg)?;
         self.require_room()?;
         self.state.time_s += dt_s;
-        self.state.steps += 1;
+        self.state.steps = self.state.steps.saturating_add(1);
         let kept: Vec<usize> = reading.map_or_else(Vec::new, |r| (0..numbers).filter(|&k| !r[k].is_nan()).collect());
         let (outcome, nis) = match reading {
             Some(reading) if !kept.is_empty() => self.update(reading, &kept)?,

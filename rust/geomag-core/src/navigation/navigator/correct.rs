@@ -6,6 +6,8 @@ use super::motion::{POSITION, VELOCITY};
 use super::options::check_covariance;
 use super::state::Navigator;
 use super::states::BIAS;
+use super::step::FASTEST_M_S;
+use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
 use crate::fix::Fix;
 
@@ -33,7 +35,7 @@ impl Navigator {
     /// [`Error::Invalid`] before the first step or for a covariance that is none, [`Error::NotFinite`],
     /// [`Error::NotPositiveDefinite`]; nothing has changed then.
     pub fn correct_position(&mut self, offset_m: [f64; 2], covariance_m2: [[f64; 2]; 2]) -> Result<Correction> {
-        require_finite("offset_m", &offset_m)?;
+        require_place("offset_m", false, offset_m)?;
         check_covariance(&covariance_m2)?;
         let newest = self.newest()?;
         let error = offset_m.map(|o| -o);
@@ -68,6 +70,10 @@ impl Navigator {
     /// [`Error::Invalid`] before the first step or for a sigma that is none, [`Error::NotFinite`].
     pub fn correct_velocity(&mut self, velocity_m_s: [f64; 2], sigma_m_s: f64) -> Result<Correction> {
         require_finite("velocity_m_s", &velocity_m_s)?;
+        let speed = velocity_m_s[0].hypot(velocity_m_s[1]);
+        if !(speed <= FASTEST_M_S) {
+            return Err(Error::invalid("velocity_m_s", format!("a speed of at most {FASTEST_M_S} m/s"), speed));
+        }
         crate::error::require_positive("sigma_m_s", sigma_m_s)?;
         self.newest()?;
         let indicated = self.state.newest.map_or([0.0; 2], |n| n.velocity_m_s);
@@ -85,7 +91,7 @@ impl Navigator {
     /// # Errors
     /// As [`Navigator::correct_position`].
     pub fn reset(&mut self, place: [f64; 2], covariance_m2: [[f64; 2]; 2]) -> Result<()> {
-        require_finite("place", &place)?;
+        require_place("place", self.field.geographic(), place)?;
         check_covariance(&covariance_m2)?;
         self.newest()?;
         let Some(newest) = self.state.newest else { return Ok(()) };

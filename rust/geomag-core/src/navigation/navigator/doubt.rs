@@ -53,7 +53,7 @@ impl Shift {
                 return None;
             }
         }
-        self.count += 1;
+        self.count = self.count.saturating_add(1);
         self.sum += innovation;
         if self.count < if single { SINGLE_IN_A_ROW } else { IN_A_ROW } {
             return None;

@@ -7,6 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use super::motion::{COUPLED, INS_STATES, Rows};
 
+/// Greatest size of a state and of its standard deviation, in whatever unit, in a filter that is read back: squares of it, and what a
+/// step makes of them, are numbers.
+const MOST: f64 = 1e60;
+/// How far below zero an eigenvalue of the correlations may lie for rounding's sake.
+const ROUNDING: f64 = 1e-6;
+
 /// Room for a row: a multiple of the widest vector.
 fn padded(states: usize) -> usize {
     states.div_ceil(8) * 8
@@ -67,8 +73,23 @@ impl Filter {
         self.states == states
             && self.mean.len() == stride
             && self.covariance.len() == states * stride
-            && self.mean.iter().chain(&self.covariance).all(|v| v.is_finite())
-            && (0..states).all(|i| self.at(i, i) >= 0.0)
+            && self.mean.iter().all(|v| v.abs() <= MOST)
+            && (0..states).all(|i| (0.0..=MOST * MOST).contains(&self.at(i, i)))
+            && self.is_covariance()
+    }
+
+    /// Whether the covariance could be one, but for rounding: its correlations have a Cholesky factor.
+    fn is_covariance(&self) -> bool {
+        let n = self.states;
+        let sigma: Vec<f64> = (0..n).map(|i| self.at(i, i).sqrt()).collect();
+        let known = |i: usize| sigma[i] > 0.0;
+        let alike = (0..n).all(|i| (0..i).all(|j| self.at(i, j) == self.at(j, i)));
+        let certain = (0..n).all(|i| known(i) || (0..n).all(|j| self.at(i, j) == 0.0));
+        let correlations = nalgebra::DMatrix::from_fn(n, n, |i, j| {
+            let own = if i == j { 1.0 + ROUNDING } else { 0.0 };
+            if i == j || !known(i) || !known(j) { own } else { self.at(i, j) / sigma[i] / sigma[j] }
+        });
+        alike && certain && correlations.cholesky().is_some()
     }
 
     pub fn len(&self) -> usize {

@@ -1,6 +1,10 @@
 //! What is known of an inertial navigation system: how large its errors are, and how they grow.
 
-use crate::error::{Result, require_not_negative, require_positive};
+use crate::error::{Error, Result, require_not_negative, require_positive};
+
+/// Greatest number of an INS model, in its unit, and least time over which a bias changes.
+const MOST: f64 = 1e6;
+const LEAST_TIME_S: f64 = 1e-3;
 
 /// Standard gravity, metres a second squared.
 pub const GRAVITY_M_S2: f64 = 9.806_65;
@@ -82,10 +86,19 @@ impl InsModel {
             ("tilt_sigma_mrad", self.tilt_sigma_mrad),
             ("heading_sigma_mrad", self.heading_sigma_mrad),
         ] {
-            require_not_negative(&format!("InsModel {name}"), value)?;
+            // No INS is worse, and what squares of it overflow is no covariance.
+            if require_not_negative(&format!("InsModel {name}"), value)? > MOST {
+                return Err(Error::invalid(format!("InsModel {name}"), format!("at most {MOST}"), value));
+            }
         }
-        require_positive("InsModel gyro_time_constant_s", self.gyro_time_constant_s)?;
-        require_positive("InsModel accelerometer_time_constant_s", self.accelerometer_time_constant_s)?;
+        for (name, value) in [
+            ("gyro_time_constant_s", self.gyro_time_constant_s),
+            ("accelerometer_time_constant_s", self.accelerometer_time_constant_s),
+        ] {
+            if require_positive(&format!("InsModel {name}"), value)? < LEAST_TIME_S {
+                return Err(Error::invalid(format!("InsModel {name}"), format!("at least {LEAST_TIME_S} s"), value));
+            }
+        }
         Ok(())
     }
 

@@ -1,5 +1,7 @@
 //! How far the filter is to be believed: running innovations, the covariance that is reported, the protection level.
 
+use std::sync::LazyLock;
+
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
@@ -55,6 +57,12 @@ pub(super) struct Radius {
 
 impl Radius {
     pub fn new(probability: f64) -> Self {
+        /// What every navigator but the textbooks asks for: saving one and restoring it should not cost an integral a table entry.
+        static NINETY_NINE: LazyLock<Radius> = LazyLock::new(|| Radius::tabulated(0.99));
+        if probability == 0.99 { NINETY_NINE.clone() } else { Self::tabulated(probability) }
+    }
+
+    fn tabulated(probability: f64) -> Self {
         let mut table = [0.0; TABLE];
         for (k, entry) in table.iter_mut().enumerate() {
             *entry = radius(probability, k as f64 / (TABLE - 1) as f64);
@@ -114,8 +122,22 @@ fn radius(probability: f64, ratio: f64) -> f64 {
         let (sin, cos) = (libm::sin(angle), libm::cos(angle));
         -0.5 / (cos * cos + ratio * ratio * sin * sin)
     });
-    let within = |r: f64| 1.0 - shortened.iter().map(|s| libm::exp(r * r * s)).sum::<f64>() / DIRECTIONS as f64;
-    search(within, probability)
+    // Its logarithm falls in r^2 and is convex: Newton's steps from 0 never pass the root.
+    let (beyond, mut squared) = ((1.0 - probability).ln(), 0.0);
+    for _ in 0..60 {
+        let (mut sum, mut slope) = (0.0, 0.0);
+        for s in shortened {
+            let share = libm::exp(squared * s);
+            sum += share;
+            slope += share * s;
+        }
+        let step = (beyond - (sum / DIRECTIONS as f64).ln()) * sum / slope;
+        if !(step > 1e-15 * squared) {
+            break;
+        }
+        squared += step;
+    }
+    squared.sqrt()
 }
 
 /// Where a rising function reaches a value, from 0 to 40.

@@ -119,7 +119,7 @@ impl Navigator {
         let error = [0, 1].map(|axis| mean[POSITION + axis] - asked.fix.offset_m[axis]);
         let nis = self.position_nis(error, covariance);
         if nis > CONTRADICTION {
-            self.state.watch.contradictions += 1;
+            self.state.watch.contradictions = self.state.watch.contradictions.saturating_add(1);
             if self.state.watch.contradictions >= 2 || alarm || self.state.status == Status::Lost {
                 self.state.watch.contradictions = 0;
                 self.state.last_fix_s = Some(now.time_s);

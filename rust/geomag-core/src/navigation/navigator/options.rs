@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::ins::InsModel;
 use super::integrity::widening;
 use super::plan::MatcherPlan;
-use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+use crate::bounds::{require_distance_m, require_place, require_spread, require_values};
+use crate::error::{Error, Result, require_finite, require_positive};
 
 /// Which filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -106,22 +107,22 @@ impl NavigatorOptions {
     pub fn validate(&self) -> Result<()> {
         self.ins.validate()?;
         if let Some(start) = &self.start {
-            require_finite("start", start)?;
+            require_place("start", false, *start)?;
         }
         check_covariance(&self.covariance_m2)?;
         for (name, value) in
             [("reading_sigma", self.reading_sigma), ("bias_sigma", self.bias_sigma), ("bias_walk", self.bias_walk)]
         {
-            require_not_negative(name, value)?;
+            require_spread(name, value)?;
         }
         if let Some(length) = self.batch_m {
-            require_not_negative("batch_m", length)?;
+            require_distance_m("batch_m", length)?;
         }
         if let Some(share) = self.registration {
-            require_not_negative("registration", share)?;
+            require_spread("registration", share)?;
         }
         if let Some(range) = self.linear_m {
-            require_positive("linear_m", range)?;
+            require_positive("linear_m", require_distance_m("linear_m", range)?)?;
         }
         if !(self.nu > 0.0) {
             return Err(Error::invalid("nu", "a number > 0", self.nu));
@@ -135,7 +136,7 @@ impl NavigatorOptions {
             let needed = format!("a square matrix of at most {MOST_TERMS} terms");
             return Err(Error::invalid("terms_covariance", needed, format!("{} numbers", self.terms_covariance.len())));
         }
-        require_finite("terms_covariance", &self.terms_covariance)?;
+        require_values("terms_covariance", &self.terms_covariance)?;
         if terms > 0 {
             let matrix = nalgebra::DMatrix::from_row_slice(terms, terms, &self.terms_covariance);
             let symmetric = (&matrix - matrix.transpose()).amax() <= 1e-9 * matrix.amax();

@@ -126,10 +126,13 @@ fn smoothed(mean: [f64; 2], rows: &[Vec<f64>; 2], adjoint: &[f64], matrix: &[f64
         }
     }
     let cross = 0.5 * (out.covariance[0][1] + out.covariance[1][0]);
-    (out.covariance[0][1], out.covariance[1][0]) = (cross, cross);
     for a in 0..2 {
         out.covariance[a][a] = out.covariance[a][a].max(0.0);
     }
+    // Where the readings after a step say nearly all, the difference is rounding: it is still to be a covariance.
+    let most = (out.covariance[0][0] * out.covariance[1][1]).sqrt();
+    let cross = cross.clamp(-most, most);
+    (out.covariance[0][1], out.covariance[1][0]) = (cross, cross);
     out
 }
 

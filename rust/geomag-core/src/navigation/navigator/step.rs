@@ -5,13 +5,13 @@ use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome};
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION};
-use crate::bounds::require_place;
+use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite};
 
 /// Longest time between two steps, seconds.
 const LONGEST_GAP_S: f64 = 86_400.0;
 /// Fastest vehicle, metres a second.
-const FASTEST_M_S: f64 = 1e4;
+pub(super) const FASTEST_M_S: f64 = 1e4;
 impl Navigator {
     /// Goes on to what the INS indicates now, and takes in a reading where there is one.
     ///
@@ -47,7 +47,7 @@ impl Navigator {
             self.begin(&now);
         }
         self.state.newest = Some(now);
-        self.state.steps += 1;
+        self.state.steps = self.state.steps.saturating_add(1);
         let (outcome, nis) = self.read(&now, value, indicated.height_m, terms);
         self.watch(&now);
         self.judge(&now, outcome);
@@ -62,8 +62,8 @@ impl Navigator {
         let Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value } = *indicated;
         require_finite("time_s", &[time_s])?;
         require_place("position", self.field.geographic(), [x, y])?;
-        if let Some(value) = value.filter(|v| v.is_infinite()) {
-            return Err(Error::NotFinite { what: "value".into(), index: 0, got: value });
+        if let Some(value) = value.filter(|v| !v.is_nan()) {
+            require_values("value", &[value])?;
         }
         if let Some(height) = height_m {
             require_finite("height_m", &[height])?;

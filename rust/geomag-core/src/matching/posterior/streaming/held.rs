@@ -8,7 +8,7 @@ use super::super::nuisance::reach_m;
 use super::super::options::{Channel, PosteriorOptions};
 use super::super::patch::Patch;
 use super::candidate::Candidate;
-use crate::bounds::require_places;
+use crate::bounds::{require_places, require_values};
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::Status;
@@ -64,7 +64,7 @@ impl Saved for Held {
             return Err(Error::shape("samples: y and values", format!("({n},) as x"), got));
         }
         require_places("samples", false, &self.x, &self.y)?;
-        require_finite("values", &self.values)?;
+        require_values("values", &self.values)?;
         if self.max_samples < FEWEST || n > self.max_samples || n > self.seen {
             let got = format!("{n} held, {} seen, {} at most", self.seen, self.max_samples);
             return Err(Error::invalid("samples", "no more held than seen and than may be held", got));

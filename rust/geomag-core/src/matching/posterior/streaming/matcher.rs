@@ -10,7 +10,7 @@ use super::super::patch::Patch;
 use super::super::problem::Problem;
 use super::candidate::Candidate;
 use super::held::{FEWEST, Held};
-use crate::bounds::require_place;
+use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
@@ -109,6 +109,7 @@ impl PosteriorMatcher {
     /// [`Error::NotFinite`], or [`Error::Invalid`] for a height that the map does not serve, for a bad sample, which is not taken.
     pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
         require_finite("sample (x, y, value)", &[x, y, value])?;
+        require_values("sample value", &[value])?;
         require_place("sample", self.field.geographic(), [x, y])?;
         let sample = Track::new(vec![x], vec![y], vec![value], None)?.with_height(height_m.map(|h| vec![h]))?;
         check_heights(&*self.field, &sample)?;
@@ -145,11 +146,11 @@ impl PosteriorMatcher {
         s.y.push(y);
         s.values.push(value);
         s.heights_m.extend(height_m);
-        s.seen += 1;
+        s.seen = s.seen.saturating_add(1);
         s.note_movement(&*self.field);
         s.spread(&*self.field, 0.5);
         let s = &mut self.state;
-        s.let_go += usize::from(full);
+        s.let_go = s.let_go.saturating_add(usize::from(full));
         if s.let_go * RENEWED >= s.max_samples {
             self.renew_gate()?;
         } else {
@@ -251,7 +252,7 @@ impl PosteriorMatcher {
         }
         let on_lattice = |c: &Candidate| {
             let node = lattice.node(c.offset);
-            (0..2).all(|d| node[d].abs() <= lattice.most[d]) && lattice.offset(node) == c.offset
+            (0..2).all(|d| node[d].unsigned_abs() <= lattice.most[d] as u64) && lattice.offset(node) == c.offset
         };
         if !saved.candidates.iter().all(on_lattice) {
             return refuse("a candidate lies outside the lattice of this map");
