@@ -5,7 +5,7 @@ use std::sync::Arc;
 use geomag_core::error::Result;
 use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, MapSigma};
-use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, MapErrorModel, Recalibration};
+use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, Lapses, MapErrorModel, Recalibration};
 use geomag_core::stack::MapStack;
 use geomag_core::track::Track;
 
@@ -53,6 +53,7 @@ pub fn error_model(s: &mut Source<'_>, nodes: usize) -> MapErrorModel {
         }),
         recalibration: s.one_in(2).then(|| Recalibration { slope: s.number(0.5, 1.5), intercept: s.number(-1.0, 1.0) }),
         forecast: s.one_in(2).then(|| Forecast { level: s.number(0.5, 1.5), spread: s.number(0.0, 0.5) }),
+        lapses: s.one_in(2).then(|| Lapses { share: s.number(0.0, 0.5), length_m: s.number(100.0, 1e4) }),
     }
 }
 
