@@ -90,3 +90,22 @@ def test_the_stream_command_writes_messages(tmp_path, scene):
     assert done.stderr == b""
     kinds = [m.get_type() for m in messages(done.stdout)]
     assert kinds[:2] == ["GLOBAL_POSITION_INT_COV", "COMMAND_INT"]
+
+
+def test_a_map_in_metres_is_told_by_its_system(scene):
+    """The position is that of the fix, turned to degrees."""
+    pyproj = pytest.importorskip("pyproj", reason="needs the extra 'geo'")
+    axis = np.arange(0.0, 12_000.0, 100.0)
+    field = 90 * np.sin(axis / 700)[None, :] * np.cos(axis / 900)[:, None] + 40 * np.sin(axis / 400)[:, None]
+    grid = geomag.GridMap(field, 500_000 + axis, 5_200_000 + axis, sigma=0.0, crs="EPSG:32633")
+    k = np.arange(40.0)
+    x, y = 503_000 + 90 * k, 5_203_000 + 70 * k
+    fix = geomag.match_posterior(
+        grid, geomag.Track(x - 150, y + 90, grid.sample(x, y)), half_width=600.0, sigma=1.0, tolerance_m=100.0
+    )
+    assert fix.ok
+    from geomag.mavlink import Encoder
+
+    sent = messages(Encoder(crs=grid.crs).encode(fix))[0]
+    there = pyproj.Transformer.from_crs("EPSG:32633", "EPSG:4326", always_xy=True).transform(fix.x, fix.y)
+    assert (sent.lon * 1e-7, sent.lat * 1e-7) == pytest.approx(there, abs=1e-6)

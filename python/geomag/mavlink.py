@@ -14,6 +14,7 @@ import numpy as np
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix
 from geomag._optional import require
+from geomag.projection import transform
 
 __all__ = ["Encoder"]
 
@@ -29,6 +30,8 @@ class Encoder:
     ----------
     system, component : identity of the sender on the link.
     target_system, target_component : of the autopilot.
+    crs : reference system of the map, where that is in metres: positions are turned to degrees by it. The covariance stays along the map's
+        axes, which differ from east and north by the convergence of the meridians.
 
     Examples
     --------
@@ -39,7 +42,13 @@ class Encoder:
     """
 
     def __init__(
-        self, *, system: int = 1, component: int = 191, target_system: int = 1, target_component: int = 1
+        self,
+        *,
+        system: int = 1,
+        component: int = 191,
+        target_system: int = 1,
+        target_component: int = 1,
+        crs: str | None = None,
     ) -> None:
         for name, value in (("system", system), ("component", component), ("target_system", target_system),
                             ("target_component", target_component)):  # fmt: skip
@@ -48,6 +57,7 @@ class Encoder:
         self._dialect: Any = require("pymavlink.dialects.v20.common", "mavlink", "MAVLink messages")
         self._link = self._dialect.MAVLink(None, srcSystem=system, srcComponent=component)
         self._target = (target_system, target_component)
+        self._crs = crs
 
     def encode(self, fix: Fix | None, time_s: float | None = None) -> bytes:
         """Messages of one fix; nothing for what may not be used.
@@ -58,7 +68,10 @@ class Encoder:
         """
         if fix is None or not fix.ok:
             return b""
-        longitude, latitude = (fix.x + 180.0) % 360.0 - 180.0, fix.y
+        x, y = fix.x, fix.y
+        if self._crs is not None:
+            x, y = (float(c[0]) for c in transform([x], [y], self._crs, "EPSG:4326"))
+        longitude, latitude = (x + 180.0) % 360.0 - 180.0, y
         if not (abs(latitude) <= 90.0 and math.isfinite(longitude)):
             raise InvalidInputError(
                 f"fix: needed degrees of longitude and latitude, got x {fix.x:g}, y {fix.y:g} (a map in metres?)"

@@ -97,9 +97,11 @@ def stream(
     if output is Output.mavlink:
         from geomag.mavlink import Encoder
 
-        if not grid.geographic:
-            raise InvalidInputError("--output: needed a map in degrees for mavlink, got one in metres")
-        writer = pipe.mavlink_messages(sys.stdout.buffer, Encoder())
+        if not grid.geographic and grid.crs is None:
+            raise InvalidInputError(
+                "--output: needed a map in degrees or with a reference system for mavlink, got one in metres without"
+            )
+        writer = pipe.mavlink_messages(sys.stdout.buffer, Encoder(crs=None if grid.geographic else grid.crs))
     if hasattr(sys.stdin, "reconfigure"):  # noise on a serial line is for the reader to pass over by its line
         sys.stdin.reconfigure(errors="replace")
     samples = pipe.on_map(grid, (pipe.read_csv if input is Input.csv else pipe.read_nmea)(sys.stdin))
