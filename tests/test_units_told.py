@@ -36,9 +36,9 @@ def test_what_a_file_says_is_repeated_or_refused(tmp_path, log):
     (tmp_path / "said.csv").write_text("x_km,y_km,mag_nT\n500.1,5100.2,48.1\n")
     assert geomag.read_track(tmp_path / "said.csv", xy_unit="km", value_unit="nT").x[0] == 500_100.0
     for options, words in (
-        ({"xy_unit": "m"}, "needed xy_unit='km'"),
-        ({"value_unit": "uT"}, "needed value_unit='nT'"),
-        ({"xy_unit": "deg"}, "needed xy_unit='km'"),
+        ({"xy_unit": "m"}, "xy_unit: needed 'km'"),
+        ({"value_unit": "uT"}, "value_unit: needed 'nT'"),
+        ({"xy_unit": "deg"}, "xy_unit: needed 'km'"),
     ):
         with pytest.raises(geomag.InvalidInputError, match=words):
             geomag.read_track(tmp_path / "said.csv", **options)
@@ -46,7 +46,7 @@ def test_what_a_file_says_is_repeated_or_refused(tmp_path, log):
         with pytest.raises(geomag.InvalidInputError, match=words):
             geomag.read_track(log, **options)
     (tmp_path / "degrees.csv").write_text("lon,lat,mag\n10,45,48.1\n")
-    with pytest.raises(geomag.InvalidInputError, match="one kind of coordinate"):
+    with pytest.raises(geomag.InvalidInputError, match="a unit of what column 'lon'"):
         geomag.read_track(tmp_path / "degrees.csv", xy_unit="m")
 
 
@@ -153,3 +153,38 @@ def test_a_route_is_read_as_a_log_is(tmp_path, capsys):
     code, _, err = promised("a,b", ["1,2", "3,4"])
     assert code == 1
     assert "--x" in err
+
+
+def test_units_of_a_log_on_the_command_line(tmp_path, capsys):
+    """The same fix from a log in kilometres and microtesla as from one in metres and nanotesla; what contradicts the file is refused by its option."""
+    pytest.importorskip("typer", reason="needs the extra 'cli'")
+    from geomag.cli import run
+
+    axis = np.arange(0.0, 6000.0, 50.0)
+    grid = geomag.GridMap(
+        90 * np.sin(axis / 400)[None, :] * np.cos(axis / 500)[:, None], axis, axis, sigma=1.0, units="nT"
+    )
+    grid.save(tmp_path / "map.nc")
+    k = np.arange(30.0)
+    x, y = 1000 + 90 * k, 2000 + 40 * k
+    values = grid.sample(x + 210, y - 125)
+
+    def matched(header, rows, *options):
+        (tmp_path / "log.csv").write_text(
+            header + "\n" + "\n".join(f"{a:.9f},{b:.9f},{c:.9f}" for a, b, c in rows) + "\n"
+        )
+        code = run(
+            ["match", str(tmp_path / "map.nc"), str(tmp_path / "log.csv"), "--half-width-m", "500", "--json", *options]
+        )
+        return code, *capsys.readouterr()
+
+    code, out, _ = matched("x_m,y_m,value", zip(x, y, values, strict=True))
+    assert code == 0
+    other = matched(
+        "x,y,value", zip(x / 1000, y / 1000, values / 1000, strict=True), "--xy-unit", "km", "--value-unit", "uT"
+    )
+    assert other[0] == 0
+    assert json.loads(other[1])["offset_m"] == pytest.approx(json.loads(out)["offset_m"], abs=0.01)
+    code, _, err = matched("x_m,y_m,value_nT", zip(x, y, values, strict=True), "--value-unit", "uT")
+    assert code == 1
+    assert "--value-unit" in err

@@ -90,9 +90,10 @@ def load_track(
     drop: bool,
     position: str | None = None,
     reading: str | None = None,
+    **units: Any,  # noqa: ANN401 - `xy_unit` and `value_unit`
 ) -> Track:
     """Read a track for a map and bring it to the map's coordinates; what was done for that is told on standard error."""
-    return aligned(grid, _read(load_table(path, position, reading), grid, x, y, value, drop))
+    return aligned(grid, _read(load_table(path, position, reading), grid, x, y, value, drop, **units))
 
 
 def aligned(grid: GridMap, track: Track) -> Track:
@@ -122,7 +123,15 @@ def telling() -> Iterator[None]:
         yield
 
 
-def _read(table: Table, grid: GridMap, x: str | None, y: str | None, value: str | None, drop: bool) -> Track:
+def _read(
+    table: Table,
+    grid: GridMap,
+    x: str | None,
+    y: str | None,
+    value: str | None,
+    drop: bool,
+    **units: Any,  # noqa: ANN401 - `xy_unit` and `value_unit`
+) -> Track:
     """A track for a map: its readings by their unit, or by the name of the map's variable where several may be; times only if they are clear.
 
     No command that takes a track has a use for times that cannot be read, so that those are told and left.
@@ -134,10 +143,10 @@ def _read(table: Table, grid: GridMap, x: str | None, y: str | None, value: str 
         ]
         value = named[0].name if len(named) == 1 else None
     try:
-        return track_of(table, x, y, value, missing=missing, grid=grid)
+        return track_of(table, x, y, value, missing=missing, grid=grid, **units)
     except TimeError as error:
         warnings.warn(f"times are left out: {str(error).partition('; ')[0]}", DataWarning, stacklevel=2)
-        return track_of(table, x, y, value, time=False, missing=missing, grid=grid)
+        return track_of(table, x, y, value, time=False, missing=missing, grid=grid, **units)
 
 
 def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error is beyond the tolerance") -> list[str]:

@@ -112,6 +112,12 @@ def match(
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
     y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
     value: Annotated[str | None, typer.Option(help="Column of the measured values.")] = None,
+    xy_unit: Annotated[
+        str | None, typer.Option(help="Unit of the log's coordinates (deg, m, km, ft), where it does not say one.")
+    ] = None,
+    value_unit: Annotated[
+        str | None, typer.Option(help="Unit of the log's readings (nT, uT, mG, mGal), where it does not say one.")
+    ] = None,
     position: Annotated[
         str | None,
         typer.Option(help="Stream of the positions of a log (PX4, ArduPilot, ROS, MagNav), where it has several."),
@@ -134,7 +140,9 @@ def match(
     grid = read_grid(map, variable, geographic=geographic, columns=three(columns), sigma=map_sigma)
     if method.value in MEANT_FOR["line_spacing_m"]:
         grid = with_told_errors(grid, line_spacing_m, map_sigma)
-    samples = load_track(track, grid, x, y, value, drop_missing, position, reading)
+    samples = load_track(
+        track, grid, x, y, value, drop_missing, position, reading, xy_unit=xy_unit, value_unit=value_unit
+    )
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     told = Settings(
         half_width_m=reach,

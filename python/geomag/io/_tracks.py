@@ -52,14 +52,14 @@ def _told_unit(column: Column, unit: str | None, option: str, where: str) -> Col
         raise InvalidInputError(f"{option}: needed {needed}, got {unit!r}")
     if column.unit is not None and tidy(column.unit) != tidy(unit):
         raise InvalidInputError(
-            f"{where}: needed {option}={column.unit!r}, as the name of column '{column.name}' says, got {unit!r}"
+            f"{option}: needed {column.unit!r}, as the name of column '{column.name}' of {where} says, got {unit!r}"
         )
     system = column.system
     if option == "xy_unit":
         system = "geographic" if is_degree(unit) else "projected"
         if column.system is not None and column.system != system:
             raise InvalidInputError(
-                f"{where}, column '{column.name}': needed one kind of coordinate, got {option}={unit!r}"
+                f"{option}: needed a unit of what column '{column.name}' of {where} is, got {unit!r}"
             )
     return replace(column, unit=unit, system=system)
 
