@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import pickle
 
@@ -74,7 +75,7 @@ def test_errors_of_the_lines_leave_what_the_map_knows():
     assert grid.metres_per_unit(100.0) == (0.5, 0.5)
 
 
-def test_commands_use_the_spacing_that_the_file_says(tmp_path, capsys):
+def test_commands_use_the_spacing_that_the_file_says(tmp_path, capsys, monkeypatch):
     pytest.importorskip("typer", reason="needs the extra 'cli'")
     from geomag.cli import run
 
@@ -90,6 +91,10 @@ def test_commands_use_the_spacing_that_the_file_says(tmp_path, capsys):
     assert run([*arguments, "--line-spacing-m", "400"]) in (0, 3)
     told, err = capsys.readouterr()
     assert (own, err) == (told, "")
+    for method, said in (("posterior", True), ("iema", False)):
+        monkeypatch.setattr("sys.stdin", io.StringIO("x,y,value\n" + "\n".join(rows) + "\n"))
+        assert run(["stream", str(tmp_path / "map.nc"), "--method", method, "--half-width-m", "300"]) in (0, 3)
+        assert ("lines are 400 m apart" in capsys.readouterr().err) is said
 
 
 def test_a_map_of_arrays_is_closed_where_it_is_asked():

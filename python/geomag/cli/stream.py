@@ -16,7 +16,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Iema, PosteriorMatcher, SlidingContour
 from geomag.cli import NO_FIX, app
 from geomag.cli._checks import not_negative, positive, share
-from geomag.cli._common import three
+from geomag.cli._common import three, with_told_errors
 from geomag.cli.match import default_half_width_m
 from geomag.io import read_grid
 
@@ -93,6 +93,8 @@ def stream(
         if source is not None and source.name == "COMMANDLINE" and meant != method.value:
             raise InvalidInputError(f"--{name.replace('_', '-')}: needed --method {meant}, got {method.value}")
     grid = read_grid(map, variable, geographic=geographic, columns=three(columns))
+    if method is not Method.iema:
+        grid = with_told_errors(grid, None, None)
     writer = pipe.json_lines(sys.stdout)
     if output is Output.mavlink:
         from geomag.mavlink import Encoder
