@@ -24,7 +24,7 @@ truth = newest + steps[:, None] * [np.sin(course), np.cos(course)]
 wrong = course - np.radians(0.5)
 indicated = newest - [560.0, -557.0] + steps[:, None] * [np.sin(wrong), np.cos(wrong)]
 sigma = 2.2
-readings = grid.sample(truth[:, 0], truth[:, 1], method="bicubic") + sigma * rng.normal(size=22)
+readings = grid.sample(truth[:, 0], truth[:, 1], interpolation="bicubic") + sigma * rng.normal(size=22)
 track = geomag.Track(indicated[:, 0], indicated[:, 1], readings)
 
 letter = geomag.match_contour(grid, track, radius_m=2400.0)

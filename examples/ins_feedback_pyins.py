@@ -35,7 +35,7 @@ grid = geomag.GridMap(field, lon, lat, geographic=True, units="nT")
 times = np.arange(0, HOURS * 3600, STEP_S)
 true = truth.loc[times, ["lon", "lat"]].to_numpy()
 shown = ins.loc[times, ["lon", "lat"]].to_numpy()
-readings = grid.sample(true[:, 0], true[:, 1], method="bicubic") + SIGMA_NT * rng.normal(size=len(times))
+readings = grid.sample(true[:, 0], true[:, 1], interpolation="bicubic") + SIGMA_NT * rng.normal(size=len(times))
 
 
 def metres(a, b):
@@ -45,8 +45,8 @@ def metres(a, b):
 
 
 feedback = geomag.InsFeedback(
-    position_sigma_m=500.0, velocity_sigma_m_s=0.5, heading_sigma_deg=0.15, position_walk_m=0.3,
-    velocity_walk_m_s=0.02, velocity_time_constant_s=5000.0, geographic=True,
+    position_sigma_m=500.0, velocity_sigma_m_s=0.5, heading_sigma_deg=0.15, position_walk_m_sqrt_s=0.3,
+    velocity_walk_m_s_sqrt_s=0.02, velocity_time_constant_s=5000.0, geographic=True,
 )  # fmt: skip
 corrected, fixes, squares = [], [], []
 for k, t in enumerate(times):

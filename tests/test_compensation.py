@@ -76,7 +76,7 @@ def crust(survey):
     assert not part.holes
     part = continued_upwards(part, height) if height else part
     east, north = part.metres_per_unit(float(part.y.mean()))
-    return lambda x, y: part.sample(part.x[0] + x / east, part.y[0] + y / north, method="bicubic")
+    return lambda x, y: part.sample(part.x[0] + x / east, part.y[0] + y / north, interpolation="bicubic")
 
 
 @pytest.mark.parametrize("survey", ["osborne", "kansas"])

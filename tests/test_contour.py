@@ -115,7 +115,7 @@ def scene():
     grid = geomag.GridMap(field, x, x)
     k = np.arange(22.0)
     tx, ty = 9000 + 600 * k, 8000 + 560 * k
-    return grid, tx, ty, grid.sample(tx, ty, method="bicubic")
+    return grid, tx, ty, grid.sample(tx, ty, interpolation="bicubic")
 
 
 def test_by_default_iccp_to_the_letter(scene):

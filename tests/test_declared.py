@@ -49,7 +49,7 @@ def test_readings_by_the_spline_are_declared_rightly() -> None:
 
 
 def test_interpolation_is_an_option_of_all_of_them() -> None:
-    track, offset = flight(lambda x, y: GRID.sample(x, y, method="bicubic"), sigma=0.3)
+    track, offset = flight(lambda x, y: GRID.sample(x, y, interpolation="bicubic"), sigma=0.3)
     for fix in (
         geomag.match_posterior(GRID, track, sigma=0.3, interpolation="bicubic", **SETTING),
         geomag.match_posterior_many(GRID, [track], sigma=0.3, interpolation="bicubic", **SETTING)[0],

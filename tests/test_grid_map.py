@@ -36,8 +36,8 @@ def test_bicubic_is_exact_for_quadratics_up_to_the_border():
     grid = geomag.GridMap(f(x[None, :], y[:, None]), x, y)
     rng = np.random.default_rng(1)
     px, py = rng.uniform(0, 7, 300), rng.uniform(0, 15, 300)
-    np.testing.assert_allclose(grid.sample(px, py, method="bicubic"), f(px, py), atol=1e-11)
-    east, north = grid.gradient(px, py, method="bicubic")
+    np.testing.assert_allclose(grid.sample(px, py, interpolation="bicubic"), f(px, py), atol=1e-11)
+    east, north = grid.gradient(px, py, interpolation="bicubic")
     np.testing.assert_allclose(east, 1 + 0.6 * px + 0.1 * py, atol=1e-11)
     np.testing.assert_allclose(north, -0.5 - 0.04 * py + 0.1 * px, atol=1e-11)
 
@@ -49,7 +49,7 @@ def test_bicubic_converges_with_the_third_order():
         grid = geomag.GridMap(np.sin(x)[None, :] * np.cos(x)[:, None], x, x)
         rng = np.random.default_rng(2)
         px, py = rng.uniform(1, 5, (2, 400))
-        errors.append(np.abs(grid.sample(px, py, method="bicubic") - np.sin(px) * np.cos(py)).max())
+        errors.append(np.abs(grid.sample(px, py, interpolation="bicubic") - np.sin(px) * np.cos(py)).max())
     assert errors[0] / errors[1] > 6.5
 
 
@@ -102,7 +102,7 @@ def test_holes_spoil_only_what_needs_them():
     assert np.isnan(grid.sample(x[6] + 0.1, y[4] + 0.1))
     assert grid.sample(x[7], y[4]) == values[4, 7]
     assert grid.sample(x[7], y[4] + 1.0) == pytest.approx(0.75 * values[4, 7] + 0.25 * values[5, 7])
-    assert np.isnan(grid.sample(x[8] + 0.1, y[4], method="bicubic")) or True
+    assert np.isnan(grid.sample(x[8] + 0.1, y[4], interpolation="bicubic")) or True
     rng = np.random.default_rng(0)
     for px, py in zip(rng.uniform(x[0] - 2, x[-1] + 2, 400), rng.uniform(y[0] - 2, y[-1] + 2, 400), strict=True):
         np.testing.assert_allclose(grid.sample(px, py), bilinear(values, x, y, px, py), rtol=1e-12, atol=1e-10)

@@ -261,7 +261,7 @@ def test_a_hole_is_a_status():
         ({"criterion": "hausdorff", "fraction": 0.0}, "fraction"),
         ({"min_overlap": 0.0}, "min_overlap"),
         ({"sigma": 0.0}, "sigma"),
-        ({"method": "nearest"}, "method"),
+        ({"interpolation": "nearest"}, "interpolation"),
         ({"pivot": "oldest"}, "pivot"),
         ({"threads": 0}, "threads"),
         ({"progress": 3.5}, "progress"),
@@ -308,11 +308,11 @@ def test_progress_is_called_and_may_stop_the_search():
 
 def test_bicubic_surface_equals_sampling_on_its_own():
     _, grid, _, _, _, track, _ = case(76)
-    fix = geomag.match_grid(grid, track, half_width=(100, 80), method="bicubic", surface=True)
+    fix = geomag.match_grid(grid, track, half_width=(100, 80), interpolation="bicubic", surface=True)
     ox, oy = fix.surface_axes
     for r, b in enumerate(oy):
         for c, a in enumerate(ox):
-            m = grid.sample(track.x + a, track.y + b, method="bicubic")
+            m = grid.sample(track.x + a, track.y + b, interpolation="bicubic")
             assert fix.surface[r, c] == pytest.approx(np.mean((track.values - m) ** 2), rel=1e-9)
 
 

@@ -28,6 +28,9 @@ TABLES = {
         geomag.predict_many,
         geomag.PosteriorMatcher,
     ],
+    "rust/geomag-core/src/navigation/navigator/ins.rs": [geomag.InsModel],
+    "rust/geomag-core/src/navigation/navigator/plan.rs": [geomag.MatcherPlan],
+    "rust/geomag-core/src/navigation/navigator/options.rs": [geomag.Navigator],
 }
 ROW = re.compile(r"\((\w+): (\w+) = ([^;]+);\s*\"([^\"]+)\";\s*((?:\"[^\"]*\"\s*)+)\)")
 
@@ -47,17 +50,20 @@ def sources():
 @pytest.mark.parametrize("table", TABLES)
 def test_an_option_stands_in_one_place(table):
     found = rows(table)
-    assert len(found) > 10
+    assert len(found) > 6
     texts = list(sources())
     for name, _, lines in found:
         for line in (line for line in lines if len(line) > 25):  # the rest of a sentence may stand anywhere
             places = [str(path.relative_to(ROOT)) for path, text in texts if line in text]
             assert places == [table], f"{name}: its explanation stands in {places}"
-    # A signature with its default is written nowhere else; the stub is made of it.
+    # Beside its name a default is written nowhere else where the same calls are made; the stub is made of the tables.
+    family = "posterior" if "posterior" in table else "navigator/"
     for name, default, _ in found:
-        again = re.compile(rf"\b{name}(?:: \w+)?\s*[=:]\s*{re.escape(default)}[,)]")
+        if default == "None":
+            continue
+        again = re.compile(rf"\b{name}(?:: \w+)? ?[=:] ?{re.escape(default)}[,)]")
         for path, text in texts:
-            if path.suffix == ".rs" and "posterior" in str(path) and "tests" not in path.stem:
+            if path.suffix == ".rs" and "tests" not in path.stem and family in str(path):
                 assert not again.search(text), f"{name} has its default again in {path.relative_to(ROOT)}"
 
 
@@ -66,9 +72,21 @@ def test_every_call_has_every_option(table):
     for call in TABLES[table]:
         parameters, text = inspect.signature(call).parameters, inspect.cleandoc(call.__doc__)
         for name, default, lines in rows(table):
-            assert repr(parameters[name].default).replace("'", '"') == repr(eval(default)).replace("'", '"'), name
+            if "options" not in parameters:  # those that hand their keywords on show them in the stub
+                assert repr(parameters[name].default).replace("'", '"') == repr(eval(default)).replace("'", '"'), name
             assert re.search(rf"^{name} : ", text, re.M), f"{call.__name__} does not explain {name}"
             assert all(line in text for line in lines)
+
+
+def test_the_guide_states_the_defaults_that_there_are():
+    page = (ROOT / "docs" / "guide" / "posterior.md").read_text(encoding="utf-8")
+    stated = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \| ([\d.]+|bilinear) \|", page, re.M)
+    parameters = inspect.signature(geomag.match_posterior).parameters
+    assert len(stated) > 6
+    for names, default in stated:
+        for name in re.findall(r"`(\w+)`", names):
+            has = parameters[name].default
+            assert default == has if isinstance(has, str) else float(default) == has, name
 
 
 def test_the_stub_says_what_the_module_says():
@@ -151,3 +169,48 @@ def test_more_is_an_old_name_that_warns():
         warnings.simplefilter("error")
         new = geomag.match_posterior(GRID, TRACK, half_width=400.0, sigma=0.5, channels=other)
     assert old.risk == new.risk
+
+
+def test_extents_in_metres_serve_the_grid_search_too():
+    scale = np.array([111_319.49, 110_574.3])
+    grid = geomag.GridMap(GRID.values, X / scale[0], X / scale[1], geographic=True)
+    track = geomag.Track(TRACK.x / scale[0], TRACK.y / scale[1], TRACK.values)
+    unit = np.array(grid.metres_per_unit(float(np.mean(track.y))))
+    metres = geomag.match_grid(grid, track, half_width_m=(300.0, 400.0), step_m=50.0)
+    degrees = geomag.match_grid(grid, track, half_width=tuple([300.0, 400.0] / unit), step=tuple(50.0 / unit))
+    assert metres.score == pytest.approx(degrees.score, rel=1e-9)
+    assert metres.offset_m == pytest.approx(degrees.offset_m, abs=1e-6)
+    with pytest.raises(geomag.InvalidInputError, match="half_width_m"):
+        geomag.match_grid(grid, track)
+
+
+def test_how_the_map_is_read_is_called_interpolation_everywhere():
+    x, y = [1010.0, 1333.0], [1100.0, 1221.0]
+    for new, old in (
+        (lambda **k: GRID.sample(x, y, **k), "sample"),
+        (lambda **k: GRID.gradient(x, y, **k), "gradient"),
+        (lambda **k: geomag.match_grid(GRID, TRACK, half_width=300.0, **k).score, "match_grid"),
+    ):
+        with pytest.warns(DeprecationWarning, match="interpolation"):
+            before = new(method="bicubic")
+        assert repr(before) == repr(new(interpolation="bicubic")) != repr(new()), old
+
+
+def test_a_keyword_that_there_is_not_names_the_one_that_was_meant():
+    with pytest.raises(TypeError, match="did you mean 'reading_sigma'"):
+        geomag.Navigator(GRID, reading_sigmas=1.0)
+    with pytest.raises(TypeError, match=r"'zzz'$"):
+        geomag.Navigator(GRID, zzz=1.0)
+
+
+def test_a_random_walk_says_per_what():
+    with pytest.warns(DeprecationWarning, match="position_walk_m_sqrt_s"):
+        feedback = geomag.InsFeedback(position_walk_m=0.7)
+    assert feedback.__reduce__()[1] == geomag.InsFeedback(position_walk_m_sqrt_s=0.7).__reduce__()[1]
+    with pytest.warns(DeprecationWarning, match="bias_walk_sqrt_s"):
+        old = geomag.Navigator(GRID, bias_walk=0.5)
+    assert old.__reduce__()[1][-1] == geomag.Navigator(GRID, bias_walk_sqrt_s=0.5).__reduce__()[1][-1]
+    assert old.__reduce__()[1][-1] != geomag.Navigator(GRID).__reduce__()[1][-1]
+    default = geomag.Navigator(GRID, matcher="default").__reduce__()[1][-1]
+    assert default == geomag.Navigator(GRID).__reduce__()[1][-1]
+    assert default != geomag.Navigator(GRID, matcher=None).__reduce__()[1][-1]

@@ -29,7 +29,7 @@ def utm_track(geographic=True):
     """Truth in UTM, and the indicated track 400 m east, 300 m south of it."""
     k = np.arange(40.0)
     x, y = 5e5 + 6000 + 180 * k, 5e6 + 7000 + 120 * k
-    values = utm_map().sample(x, y, method="bicubic") + np.random.default_rng(1).normal(0, 0.5, k.size)
+    values = utm_map().sample(x, y, interpolation="bicubic") + np.random.default_rng(1).normal(0, 0.5, k.size)
     px, py = x + 400, y - 300
     if geographic:
         px, py = transform(px, py, "EPSG:32632", "EPSG:4326")
@@ -143,7 +143,7 @@ def test_an_offset_on_mercator_is_metres_on_the_ground():
     grid = true_scale(mercator())
     k = np.arange(40.0)
     x, y = grid.x[30] + 350 * k, grid.y[40] + 250 * k
-    values = grid.sample(x, y, method="bicubic") + np.random.default_rng(2).normal(0, 0.5, k.size)
+    values = grid.sample(x, y, interpolation="bicubic") + np.random.default_rng(2).normal(0, 0.5, k.size)
     east, north = grid.metres_per_unit(float(y[-1]))
     track = geomag.Track(x + 800 / east, y - 500 / north, values)
     reach = (1500 / east, 1500 / north)

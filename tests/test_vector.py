@@ -33,7 +33,7 @@ def flight(maps):
     x, y = 3000 + 90 * t, 4000 + 55 * t
     heading, pitch, roll = synthetic.attitude_along(t, x, y, seed=2, turbulence_deg=3.0)
     attitude = {"heading_deg": heading, "pitch_deg": pitch, "roll_deg": roll}
-    field = MAIN + np.column_stack([m.sample(x, y, method="bicubic") for m in maps])
+    field = MAIN + np.column_stack([m.sample(x, y, interpolation="bicubic") for m in maps])
     body = field_in_vehicle(field, **attitude) + np.random.default_rng(4).normal(0, 1.0, field.shape)
     return x, y, body, field_in_vehicle([0.0, 0.0, 9.81], **attitude), attitude
 

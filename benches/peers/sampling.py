@@ -22,7 +22,7 @@ def table(smoke=False):
         ours, wanted = best_of(lambda x=x, y=y: grid.sample(x, y), patience)
         for what, work in (
             ("geomag", None),
-            ("geomag, bicubic", lambda x=x, y=y: grid.sample(x, y, method="bicubic")),
+            ("geomag, bicubic", lambda x=x, y=y: grid.sample(x, y, interpolation="bicubic")),
             ("scipy map_coordinates", lambda x=x, y=y: map_coordinates(values, [y, x], order=1)),
             ("scipy RegularGridInterpolator", lambda x=x, y=y: interpolator((y, x))),
         ):

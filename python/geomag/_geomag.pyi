@@ -105,9 +105,21 @@ class GridMap:
     @property
     def line_spacing_m(self) -> float | None: ...
     def metres_per_unit(self, y: float) -> tuple[float, float]: ...
-    def sample(self, x: ArrayLike, y: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear") -> Any: ...
+    def sample(
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+        method: Literal["bilinear", "bicubic"] | None = None,
+    ) -> Any: ...
     def gradient(
-        self, x: ArrayLike, y: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear"
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        *,
+        interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+        method: Literal["bilinear", "bicubic"] | None = None,
     ) -> tuple[Any, Any]: ...
     def bounds(self, x: ArrayLike, y: ArrayLike, *, half_width: _Pair) -> tuple[Any, Any]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
@@ -138,7 +150,13 @@ class MapStack:
     @property
     def geographic(self) -> bool: ...
     def sample(
-        self, x: ArrayLike, y: ArrayLike, height_m: ArrayLike, *, method: Literal["bilinear", "bicubic"] = "bilinear"
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        height_m: ArrayLike,
+        *,
+        interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+        method: Literal["bilinear", "bicubic"] | None = None,
     ) -> Any: ...
     def at(self, height_m: float) -> GridMap: ...
     def __len__(self) -> int: ...
@@ -287,8 +305,10 @@ def match_grid(
     track: Track,
     criterion: str = "msd",
     *,
-    half_width: _Pair,
+    half_width: _Pair | None = None,
+    half_width_m: _Pair | None = None,
     step: _Pair | None = None,
+    step_m: _Pair | None = None,
     heading_deg: ArrayLike | None = None,
     scale: ArrayLike | None = None,
     pivot: Literal["newest", "centroid"] = "newest",
@@ -300,7 +320,7 @@ def match_grid(
     length_scale_m: float | None = None,
     value_scale: float | None = None,
     fraction: float = 1.0,
-    method: Literal["bilinear", "bicubic"] = "bilinear",
+    interpolation: Literal["bilinear", "bicubic"] = "bilinear",
     min_overlap: float = 0.8,
     sigma: float | None = None,
     ambiguity: float = 0.01,
@@ -309,6 +329,7 @@ def match_grid(
     max_candidates: int = ...,
     threads: int | None = None,
     progress: _Progress = None,
+    method: Literal["bilinear", "bicubic"] | None = None,
 ) -> Fix: ...
 
 # Behind geomag.synthetic.
@@ -646,25 +667,23 @@ class MatcherPlan:
     @classmethod
     def _restore(cls, values: dict[str, Any]) -> MatcherPlan: ...
 
-class _NavigatorTuning(TypedDict, total=False):
+class _NavigatorOptions(TypedDict, total=False):
+    position_sigma_m: float | None
+    ins: InsModel | None
     start: _Pair | None
     covariance_m2: ArrayLike | None
     reading_sigma: float
     bias_sigma: float
-    bias_walk: float
+    bias_walk_sqrt_s: float
     batch_m: float | None
     registration: float | None
     nu: float
     linear_m: float | None
     integrity_risk: float
-    matcher: MatcherPlan | None
-    terms_covariance: ArrayLike
+    terms_covariance: ArrayLike | None
+    matcher: MatcherPlan | Literal["default"] | None
     method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float
-
-class _NavigatorOptions(_NavigatorTuning, total=False):
-    ins: InsModel | None
-    position_sigma_m: float | None
 
 @final
 class NavigationStep:
@@ -743,16 +762,9 @@ class Navigator:
     def __reduce__(self) -> tuple[Any, ...]: ...
 
 def _navigate(
-    grid: GridMap | HarmonicMap,
-    time_s: ArrayLike,
-    x: ArrayLike,
-    y: ArrayLike,
+    grid: _Field,
+    log: dict[str, Any],
     *,
-    velocity_m_s: ArrayLike | None = None,
-    heading_deg: ArrayLike | None = None,
-    readings: ArrayLike | None = None,
-    height_m: ArrayLike | None = None,
-    terms: ArrayLike | None = None,
     lag_s: float | None = None,
     progress: _Progress = None,
     **options: Unpack[_NavigatorOptions],
@@ -768,12 +780,15 @@ class InsFeedback:
         position_sigma_m: float = 500.0,
         velocity_sigma_m_s: float = 0.5,
         heading_sigma_deg: float = 0.1,
-        position_walk_m: float = 0.1,
-        velocity_walk_m_s: float = 0.001,
-        heading_walk_deg: float = 0.0005,
+        position_walk_m_sqrt_s: float = 0.1,
+        velocity_walk_m_s_sqrt_s: float = 0.001,
+        heading_walk_deg_sqrt_s: float = 0.0005,
         velocity_time_constant_s: float = ...,
         geographic: bool = False,
         gate_probability: float = 0.999,
+        position_walk_m: float | None = None,
+        velocity_walk_m_s: float | None = None,
+        heading_walk_deg: float | None = None,
     ) -> InsFeedback: ...
     def step(
         self,
@@ -1159,7 +1174,7 @@ class FieldNavigator:
         speed_sigma_m_s: float = 0.0,
         speed_walk: float = 0.0,
         heading_sigma_deg: float = 0.0,
-        heading_walk_deg: float = 0.0,
+        heading_walk_deg_sqrt_s: float = 0.0,
         bias_sigma: float = 0.0,
         bias_walk: float = 0.0,
         gate: float | None = ...,

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 import numpy as np
 
 from geomag._errors import InvalidInputError, ShapeError
-from geomag._geomag import GridMap, HarmonicMap, InsModel, _displacements_m, _navigate, _radii_m
+from geomag._geomag import GridMap, HarmonicMap, _displacements_m, _navigate, _radii_m
 from geomag._optional import require
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import ArrayLike, NDArray
 
-    from geomag._geomag import _NavigatorTuning
+    from geomag._geomag import _NavigatorOptions
 
 Progress = bool | Callable[[int, int], object] | None
 
@@ -194,13 +194,11 @@ def navigate(
     velocity_m_s: ArrayLike | None = None,
     heading_deg: ArrayLike | None = None,
     readings: ArrayLike | None = None,
-    ins: InsModel | None = None,
-    position_sigma_m: float | None = None,
     height_m: ArrayLike | None = None,
     terms: ArrayLike | None = None,
     smooth: float | Literal["flight"] | None = None,
     progress: Progress = None,
-    **options: Unpack[_NavigatorTuning],
+    **options: Unpack[_NavigatorOptions],
 ) -> Navigation:
     """Navigate through a whole log: what an INS indicated, corrected by readings of the field.
 
@@ -221,10 +219,6 @@ def navigate(
         Indicated heading, degrees clockwise from north; the course without it.
     readings : array (n,), optional
         Measured values, map's unit, NaN where there is none; the INS alone without it.
-    ins : InsModel, optional
-        Grade of the INS; `InsModel.navigation()` if not given.
-    position_sigma_m : float, optional
-        Standard deviation of the first indicated place on each axis; 100 m if not given.
     height_m : float or array (n,), optional
         Metres above the map's height datum, for maps that are known at several heights.
     terms : array (n, m), optional
@@ -235,7 +229,7 @@ def navigate(
     progress : bool or callable, optional
         True for a bar, or a callable ``(done, total)``.
     **options
-        As for `Navigator`.
+        As for `Navigator`: `ins`, `position_sigma_m` and all others.
 
     Returns
     -------
@@ -266,22 +260,11 @@ def navigate(
     """
     if isinstance(smooth, str) and smooth != "flight":
         raise InvalidInputError(f"smooth: needed seconds or 'flight', got {smooth!r}")
-    columns = _navigate(
-        grid,
-        time_s,
-        x,
-        y,
-        velocity_m_s=velocity_m_s,
-        heading_deg=heading_deg,
-        readings=readings,
-        ins=ins,
-        position_sigma_m=position_sigma_m,
-        height_m=height_m,
-        terms=terms,
-        lag_s=np.inf if smooth == "flight" else smooth,
-        progress=progress,
-        **options,
-    )
+    log = {
+        "time_s": time_s, "x": x, "y": y, "velocity_m_s": velocity_m_s, "heading_deg": heading_deg, "readings": readings,
+        "height_m": height_m, "terms": terms,
+    }  # fmt: skip
+    columns = _navigate(grid, log, lag_s=np.inf if smooth == "flight" else smooth, progress=progress, **options)
     for name in ("status", "reason", "outcome"):
         columns[name] = np.array(columns[name])
     columns["resets"] = columns["resets"].astype(np.int64)

@@ -464,7 +464,7 @@ def _windows(
     tolerance_m = max(2 * max(grid.spacing_m), distance)
     feedback = InsFeedback(
         position_sigma_m=max(position_sigma_m, 1.0), velocity_sigma_m_s=ins.velocity_sigma_m_s, heading_sigma_deg=float(np.degrees(1e-3 * ins.heading_sigma_mrad)),
-        velocity_walk_m_s=WINDOW_WALK, geographic=flight.geographic,
+        velocity_walk_m_s_sqrt_s=WINDOW_WALK, geographic=flight.geographic,
     )  # fmt: skip
     n = flight.time_s.size
     error, covariance = np.empty((n, 2)), np.empty((n, 2, 2))

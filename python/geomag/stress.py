@@ -217,7 +217,7 @@ def right_maps(
             grid = GridMap(field(*np.meshgrid(axis, axis)), axis, axis, sigma=0.0)
             readings: dict[str, Reading] = {
                 "bilinear": lambda x, y, grid=grid: grid.sample(x, y),  # type: ignore[misc]
-                "bicubic": lambda x, y, grid=grid: grid.sample(x, y, method="bicubic"),  # type: ignore[misc]
+                "bicubic": lambda x, y, grid=grid: grid.sample(x, y, interpolation="bicubic"),  # type: ignore[misc]
                 "spline": _spline(grid),
                 "field": field,
             }

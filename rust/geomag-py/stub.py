@@ -21,6 +21,9 @@ CLASSES = ["PosteriorMatcher"]
 #: Frozen objects that are nothing but their arguments.
 PARTS = ["SearchBox", "InsPrior", "Acceptance", "InsModel", "MatcherPlan"]
 
+#: Classes that hand on their keywords, and the dictionary that types these.
+KEYWORDS = {"Navigator": "_NavigatorOptions"}
+
 #: Types as docstrings name them, and as the stub does.
 TYPES = {
     "GridMap, MapStack or HarmonicMap": "_Field",
@@ -29,6 +32,9 @@ TYPES = {
     "sequence of Track": "Sequence[Track]",
     "bool or callable": "_Progress",
     "array of shape (n,)": "ArrayLike",
+    "array of shape (m, m)": "ArrayLike",
+    "float or array of shape (2, 2)": "ArrayLike",
+    "MatcherPlan, 'default' or None": 'MatcherPlan | Literal["default"] | None',
 }
 
 
@@ -88,6 +94,16 @@ def part(name: str) -> str:
     return text + f"    @classmethod\n    def _restore(cls, values: dict[str, Any]) -> {name}: ...\n\n"
 
 
+def keywords(name: str) -> str:
+    """Return the typed dictionary of a class's keywords."""
+    types = documented_types(inspect.cleandoc(getattr(module, name).__doc__))
+    text = f"class {KEYWORDS[name]}(TypedDict, total=False):\n"
+    for keyword, kind in types.items():
+        if keyword != "grid":
+            text += f"    {keyword}: {stub_type(kind, None if kind.endswith(', optional') else ...)}\n"
+    return text + "\n"
+
+
 def written(text: str) -> str:
     """Return the stub with the argument lists that the module has now."""
     for name in CALLS:
@@ -100,6 +116,10 @@ def written(text: str) -> str:
     for name in PARTS:
         now = part(name)
         text = re.sub(rf"^@final\nclass {name}:\n.*?(?=^\S)", lambda _, now=now: now, text, count=1, flags=re.M | re.S)
+    for name, dictionary in KEYWORDS.items():
+        now = keywords(name)
+        before = rf"^class {dictionary}\(.*?(?=^\S)"
+        text = re.sub(before, lambda _, now=now: now, text, count=1, flags=re.M | re.S)
     return text
 
 

@@ -33,7 +33,7 @@ def fly(grid: GridMap, seed: int, out: Path) -> tuple[dict[str, float], str]:
     ins = InsModel.navigation()
     start = draw_inertial_error(ins, rng, 200.0)
     shown = indicate(time, x, y, geographic=grid.geographic, error=start, ins=ins, seed=rng)
-    readings = grid.sample(x, y, method="bicubic") + rng.normal(0, 1.0, time.size) + rng.normal(0, 20.0)
+    readings = grid.sample(x, y, interpolation="bicubic") + rng.normal(0, 1.0, time.size) + rng.normal(0, 20.0)
     spoilt = rng.random(time.size) < 0.02
     readings[spoilt] += rng.normal(0, 60.0, int(spoilt.sum()))
     readings[int(SILENT[0] * time.size) : int(SILENT[1] * time.size)] = np.nan

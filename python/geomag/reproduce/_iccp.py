@@ -145,7 +145,7 @@ def fly(
     back = np.column_stack([c * lever[:, 0] - s * lever[:, 1], c * lever[:, 1] + s * lever[:, 0]]) / stretch
     direction = rng.uniform(0, 2 * np.pi)
     offset = OFFSET_M * np.array([np.sin(direction), np.cos(direction)])
-    values = grid.sample(truth[:, 0], truth[:, 1], method="bicubic") + noise * rng.normal(size=samples)
+    values = grid.sample(truth[:, 0], truth[:, 1], interpolation="bicubic") + noise * rng.normal(size=samples)
     if texture:
         values = values + Texture.draw(rng, texture).at(truth)
     return Flight(truth, end - offset + back, values)
@@ -250,7 +250,7 @@ def recommended(grid: GridMap, track: Track, sigma: float, ins: InsError) -> Fix
 
 def cramer_rao_m2(grid: GridMap, flight: Flight, variance: float, ins: InsError) -> float:
     """Least mean square position error with the same priors: trace of the inverse information at the truth."""
-    east, north = grid.gradient(flight.truth[:, 0], flight.truth[:, 1], method="bicubic")
+    east, north = grid.gradient(flight.truth[:, 0], flight.truth[:, 1], interpolation="bicubic")
     lever = flight.truth - flight.truth[-1]
     columns = [east, north]
     prior = [1 / OFFSET_SIGMA_M**2] * 2
@@ -461,7 +461,7 @@ def tune(context: Context, grid: GridMap, region: Region, trials: int) -> tuple[
     planned = max(4, trials // 10)
     for number in range(planned):
         flight = fly(grid, rng, **DENSE, noise=0.0, ins=ins)
-        clean = Track(flight.truth[:, 0], flight.truth[:, 1], grid.sample(*flight.truth.T, method="bicubic"))
+        clean = Track(flight.truth[:, 0], flight.truth[:, 1], grid.sample(*flight.truth.T, interpolation="bicubic"))
         options: dict[str, Any] = {
             "sigma": noise, "offset_m": OFFSET_M, "heading_sigma_deg": ins.heading_deg, "quanta": region.quanta,
             "max_length": region.max_length, "error_range_m": (250.0, 1000.0), "seed": number, "draws": 10,

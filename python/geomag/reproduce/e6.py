@@ -62,7 +62,7 @@ def sail(grid: GridMap, rng: np.random.Generator, hours: float) -> Leg:
     away = rng.uniform(0, 2 * np.pi)
     drift = DRIFT_M_H * (hours + time_s / 3600.0)
     indicated = truth + drift[:, None] * np.array([np.sin(away), np.cos(away)]) / scale
-    field = grid.sample(truth[:, 0], truth[:, 1], method="bicubic") + SIGMA_MGAL * rng.normal(size=SAMPLES)
+    field = grid.sample(truth[:, 0], truth[:, 1], interpolation="bicubic") + SIGMA_MGAL * rng.normal(size=SAMPLES)
     raw = field - gravity.correction(truth[:, 0], truth[:, 1], time_s)
     return Leg(truth, indicated, time_s, raw, field)
 

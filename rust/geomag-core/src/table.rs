@@ -12,6 +12,11 @@ macro_rules! option_type {
     (count) => { u64 };
     (size) => { usize };
     (interpolation) => { Interpolation };
+    (ins) => { InsModel };
+    (covariance) => { [[f64; 2]; 2] };
+    (matrix) => { Vec<f64> };
+    (matcher) => { Option<MatcherPlan> };
+    (method) => { Method };
 }
 
 /// The default of an option, as Rust has it.
@@ -21,6 +26,21 @@ macro_rules! option_default {
     };
     (interpolation "bicubic") => {
         Interpolation::Bicubic
+    };
+    (ins None) => {
+        InsModel::default()
+    };
+    (covariance None) => {
+        [[0.0; 2]; 2]
+    };
+    (matrix None) => {
+        Vec::new()
+    };
+    (matcher "default") => {
+        Some(MatcherPlan::default())
+    };
+    (method "navigator") => {
+        Method::Navigator
     };
     ($kind:ident $default:tt) => {
         $default

@@ -24,6 +24,15 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
     }
 }
 
+/// The same where `method` is still given, its old name.
+pub fn read_by(py: Python<'_>, name: &str, method: Option<&str>) -> PyRes<Interpolation> {
+    if let Some(old) = method {
+        crate::options::old_name(py, "method", "interpolation")?;
+        return interpolation(old);
+    }
+    interpolation(name)
+}
+
 /// A regular grid of field values: the stored map that matchers compare with.
 ///
 /// For regular maps in metres (projected) or degrees (geographic). Not for scattered data: grid it first (see
@@ -572,35 +581,37 @@ impl PyGridMap {
     }
 
     /// Values at points; arrays of any shape are broadcast. NaN off the map and next to holes.
-    #[pyo3(signature = (x, y, *, method = "bilinear"))]
+    #[pyo3(signature = (x, y, *, interpolation = "bilinear", method = None))]
     fn sample<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         y: &Bound<'py, PyAny>,
-        method: &str,
+        interpolation: &str,
+        method: Option<&str>,
     ) -> PyRes<Bound<'py, PyAny>> {
-        let method = interpolation(method)?;
+        let interpolation = read_by(py, interpolation, method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
-        let values = crate::pool::detached(py, || self.inner.sample_many(&x, &y, method));
+        let values = crate::pool::detached(py, || self.inner.sample_many(&x, &y, interpolation));
         shaped(py, values, &shape)
     }
 
     /// Gradient (east, north) per metre at points, analytic; NaN off the map and next to holes.
-    #[pyo3(signature = (x, y, *, method = "bilinear"))]
+    #[pyo3(signature = (x, y, *, interpolation = "bilinear", method = None))]
     fn gradient<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         y: &Bound<'py, PyAny>,
-        method: &str,
+        interpolation: &str,
+        method: Option<&str>,
     ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let method = interpolation(method)?;
+        let interpolation = read_by(py, interpolation, method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
         let (east, north) = crate::pool::detached(py, || {
             x.iter()
                 .zip(&y)
-                .map(|(&x, &y)| self.inner.sample_and_gradient(x, y, method).1)
+                .map(|(&x, &y)| self.inner.sample_and_gradient(x, y, interpolation).1)
                 .map(|[e, n]| (e, n))
                 .unzip::<f64, f64, Vec<_>, Vec<_>>()
         });

@@ -7,11 +7,13 @@ use geomag_core::matching::similarity::{Criterion, Robust};
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 
-use crate::arrays::{optional_vector, pair, vector};
+use crate::arrays::{optional_vector, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
-use crate::grid::interpolation;
+use crate::grid::read_by;
 use crate::long_call;
+use crate::options::maybe_pair;
+use crate::posterior::{Extent, middle};
 use crate::stack::field_for;
 use crate::track::PyTrack;
 
@@ -50,17 +52,21 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 ///
 /// Parameters
 /// ----------
-/// grid : GridMap
+/// grid : GridMap, MapStack or HarmonicMap
 ///     The stored map.
 /// track : Track
 ///     Indicated positions and measured values.
 /// criterion : {'msd', 'mad', 'prod', 'ncc', 'hausdorff'}
 ///     Mean square difference, mean absolute difference, product correlation about the map's mean, normalised
 ///     cross-correlation, (partial) Hausdorff distance.
-/// half_width : float or (float, float)
-///     Half size of the search (x, y), map units; more than 0 along one of them.
+/// half_width : float or (float, float), optional
+///     Half size of the search (x, y), map units; more than 0 along one of them. This or `half_width_m` is needed.
+/// half_width_m : float or (float, float), optional
+///     The same (east, north) in metres; on a map in degrees at the middle latitude of the track.
 /// step : float or (float, float), optional
 ///     Lattice step, map units; the map spacing by default. Whole fractions of the spacing are fast.
+/// step_m : float or (float, float), optional
+///     The same in metres.
 /// heading_deg, scale : sequence of float
 ///     Heading corrections (degrees, clockwise) and scale corrections to try.
 /// pivot : {'newest', 'centroid'}
@@ -70,11 +76,15 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 /// weights : array of shape (n,), optional
 ///     One weight a sample. A sample of weight zero is as if it had not been measured; its position alone remains.
 /// robust : {None, 'huber', 'student_t'}
-///     Loss in place of the square; `robust_scale` in value units, `nu` degrees of freedom.
+///     Loss in place of the square.
+/// robust_scale : float, optional
+///     Where it bends, value units; needed with `robust`.
+/// nu : float
+///     Degrees of freedom of 'student_t'.
 /// length_scale_m, value_scale, fraction : float
 ///     Hausdorff: metres and value units that count as one (the mean sample spacing and the spread of the values by
 ///     default), and the quantile of the point-to-set distances.
-/// method : {'bilinear', 'bicubic'}
+/// interpolation : {'bilinear', 'bicubic'}
 ///     How the map is read.
 /// min_overlap : float
 ///     Share of the samples that a candidate must have on the map.
@@ -92,6 +102,8 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 ///     Threads to use, 1 to 512, all cores by default; the answer does not depend on it.
 /// progress : bool or callable, optional
 ///     True for a bar, or a callable (done, total).
+/// method : {'bilinear', 'bicubic'}, optional
+///     Old name of `interpolation`; it warns.
 ///
 /// Returns
 /// -------
@@ -113,19 +125,21 @@ fn robust(name: Option<&str>, scale: Option<f64>, nu: f64) -> PyRes<Option<Robus
 /// >>> fix.status, [round(v) for v in fix.offset_m]
 /// ('fixed', [210, -125])
 #[pyfunction(name = "match_grid")]
-#[pyo3(signature = (grid, track, criterion = "msd", *, half_width, step = None, heading_deg = None, scale = None,
+#[pyo3(signature = (grid, track, criterion = "msd", *, half_width = None, half_width_m = None, step = None, step_m = None, heading_deg = None, scale = None,
                     pivot = "newest", remove_mean = false, weights = None, robust = None, robust_scale = None,
-                    nu = 3.0, length_scale_m = None, value_scale = None, fraction = 1.0, method = "bilinear",
+                    nu = 3.0, length_scale_m = None, value_scale = None, fraction = 1.0, interpolation = "bilinear",
                     min_overlap = 0.8, sigma = None, ambiguity = 0.01, refine = true, surface = false,
-                    max_candidates = DEFAULT_MAX_CANDIDATES, threads = None, progress = None))]
+                    max_candidates = DEFAULT_MAX_CANDIDATES, threads = None, progress = None, method = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn py_match_grid(
     py: Python<'_>,
     grid: &Bound<'_, PyAny>,
     track: &PyTrack,
     criterion: &str,
-    half_width: &Bound<'_, PyAny>,
-    step: Option<&Bound<'_, PyAny>>,
+    half_width: Option<Py<PyAny>>,
+    half_width_m: Option<Py<PyAny>>,
+    step: Option<Py<PyAny>>,
+    step_m: Option<Py<PyAny>>,
     heading_deg: Option<&Bound<'_, PyAny>>,
     scale: Option<&Bound<'_, PyAny>>,
     pivot: &str,
@@ -137,7 +151,7 @@ pub fn py_match_grid(
     length_scale_m: Option<f64>,
     value_scale: Option<f64>,
     fraction: f64,
-    method: &str,
+    interpolation: &str,
     min_overlap: f64,
     sigma: Option<f64>,
     ambiguity: f64,
@@ -146,23 +160,31 @@ pub fn py_match_grid(
     max_candidates: u64,
     threads: Option<usize>,
     progress: Option<&Bound<'_, PyAny>>,
+    method: Option<&str>,
 ) -> PyRes<PyFix> {
     check_unused(length_scale_m, value_scale, fraction, robust_scale, nu)?;
     let samples = &*track.on(py, grid)?;
     let field = field_for(grid, [samples])?;
     let weights = optional_vector("weights", weights)?;
     let measured = samples.weighted(weights.as_deref())?;
+    let extent = Extent {
+        half_width: maybe_pair(py, "half_width", half_width.as_ref())?,
+        half_width_m: maybe_pair(py, "half_width_m", half_width_m.as_ref())?,
+        step_m: maybe_pair(py, "step_m", step_m.as_ref())?,
+    };
+    let step = maybe_pair(py, "step", step.as_ref())?;
+    let (half_width, step) = extent.check(step)?.in_units(&*field, middle([samples]), step);
     let search = GridSearch {
         criterion: self::criterion(criterion, &measured, field.geographic(), length_scale_m, value_scale, fraction)?,
-        half_width: pair("half_width", half_width)?,
-        step: step.map(|s| pair("step", s)).transpose()?,
+        half_width,
+        step,
         heading_deg: heading_deg.map_or(Ok(vec![0.0]), |h| vector("heading_deg", h))?,
         scale: scale.map_or(Ok(vec![1.0]), |s| vector("scale", s))?,
         pivot: self::pivot(pivot)?,
         remove_mean,
         weights,
         robust: self::robust(robust, robust_scale, nu)?,
-        interpolation: interpolation(method)?,
+        interpolation: read_by(py, interpolation, method)?,
         min_overlap,
         sigma,
         ambiguity,

@@ -9,6 +9,7 @@ use crate::arrays::{matrix, pair, shaped};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::lock::Shared;
+use crate::options::old_name;
 use crate::state;
 
 fn covariance(object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
@@ -115,8 +116,8 @@ impl PyFeedbackStep {
 /// ----------
 /// position_sigma_m, velocity_sigma_m_s, heading_sigma_deg : float
 ///     Errors at the start (each axis).
-/// position_walk_m, velocity_walk_m_s, heading_walk_deg : float
-///     Random walks, per square root of a second.
+/// position_walk_m_sqrt_s, velocity_walk_m_s_sqrt_s, heading_walk_deg_sqrt_s : float
+///     Random walks, per square root of a second. Without the last word they are old names, which warn.
 /// velocity_time_constant_s : float
 ///     Time after which a velocity error has forgotten itself; inf is a pure random walk.
 /// geographic : bool
@@ -146,27 +147,37 @@ pub struct PyInsFeedback {
 impl PyInsFeedback {
     #[new]
     #[pyo3(signature = (*, position_sigma_m = 500.0, velocity_sigma_m_s = 0.5, heading_sigma_deg = 0.1,
-                        position_walk_m = 0.1, velocity_walk_m_s = 0.001, heading_walk_deg = 0.0005,
-                        velocity_time_constant_s = f64::INFINITY, geographic = false, gate_probability = 0.999))]
+                        position_walk_m_sqrt_s = 0.1, velocity_walk_m_s_sqrt_s = 0.001, heading_walk_deg_sqrt_s = 0.0005,
+                        velocity_time_constant_s = f64::INFINITY, geographic = false, gate_probability = 0.999,
+                        position_walk_m = None, velocity_walk_m_s = None, heading_walk_deg = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn new(
+        py: Python<'_>,
         position_sigma_m: f64,
         velocity_sigma_m_s: f64,
         heading_sigma_deg: f64,
-        position_walk_m: f64,
-        velocity_walk_m_s: f64,
-        heading_walk_deg: f64,
+        position_walk_m_sqrt_s: f64,
+        velocity_walk_m_s_sqrt_s: f64,
+        heading_walk_deg_sqrt_s: f64,
         velocity_time_constant_s: f64,
         geographic: bool,
         gate_probability: f64,
+        position_walk_m: Option<f64>,
+        velocity_walk_m_s: Option<f64>,
+        heading_walk_deg: Option<f64>,
     ) -> PyRes<Self> {
+        let walk = |new: f64, old: Option<f64>, name: &str| -> PyRes<f64> {
+            let Some(old) = old else { return Ok(new) };
+            old_name(py, name, &format!("{name}_sqrt_s"))?;
+            Ok(old)
+        };
         let model = InsErrorModel {
             position_sigma_m,
             velocity_sigma_m_s,
             heading_sigma_deg,
-            position_walk_m,
-            velocity_walk_m_s,
-            heading_walk_deg,
+            position_walk_m_sqrt_s: walk(position_walk_m_sqrt_s, position_walk_m, "position_walk_m")?,
+            velocity_walk_m_s_sqrt_s: walk(velocity_walk_m_s_sqrt_s, velocity_walk_m_s, "velocity_walk_m_s")?,
+            heading_walk_deg_sqrt_s: walk(heading_walk_deg_sqrt_s, heading_walk_deg, "heading_walk_deg")?,
             velocity_time_constant_s,
         };
         Ok(Self { inner: Shared::new(InsFeedback::new(model, geographic, gate_probability)?) })

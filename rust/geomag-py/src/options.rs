@@ -3,7 +3,7 @@
 use pyo3::prelude::*;
 
 use crate::arrays::pair;
-use crate::error::PyRes;
+use crate::error::{PyError, PyRes};
 
 /// A row as numpydoc has it.
 macro_rules! row_doc {
@@ -128,3 +128,29 @@ pub fn maybe_pair(py: Python<'_>, name: &str, given: Option<&Py<PyAny>>) -> PyRe
 }
 
 pub use crate::grid::interpolation;
+
+/// Says that a keyword has a newer name; the old one goes on working.
+pub fn old_name(py: Python<'_>, old: &str, new: &str) -> PyRes<()> {
+    let text = std::ffi::CString::new(format!("{old}= is the old name of {new}=")).unwrap_or_default();
+    let category = py.get_type::<pyo3::exceptions::PyDeprecationWarning>();
+    Ok(PyErr::warn(py, &category, &text, 1)?)
+}
+
+/// A keyword that there is not, with the one that was meant where there is one much like it.
+pub fn unexpected(key: &str, known: &[&str]) -> PyError {
+    let distance = |name: &&&str| {
+        let (a, b): (Vec<char>, Vec<char>) = (key.chars().collect(), name.chars().collect());
+        let mut row: Vec<usize> = (0..=b.len()).collect();
+        for (i, x) in a.iter().enumerate() {
+            let mut before = std::mem::replace(&mut row[0], i + 1);
+            for (j, y) in b.iter().enumerate() {
+                let here = (before + usize::from(x != y)).min(row[j] + 1).min(row[j + 1] + 1);
+                before = std::mem::replace(&mut row[j + 1], here);
+            }
+        }
+        row[b.len()]
+    };
+    let near = known.iter().min_by_key(distance).filter(|name| distance(name) <= 1 + name.len() / 3);
+    let meant = near.map(|name| format!("; did you mean '{name}'?")).unwrap_or_default();
+    pyo3::exceptions::PyTypeError::new_err(format!("unexpected keyword argument '{key}'{meant}")).into()
+}

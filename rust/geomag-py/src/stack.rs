@@ -11,7 +11,7 @@ use pyo3::types::PyTuple;
 
 use crate::arrays::{broadcast, shaped};
 use crate::error::{PyRes, invalid};
-use crate::grid::{PyGridMap, field, interpolation};
+use crate::grid::{PyGridMap, field, read_by};
 
 /// One map at several heights: what a vehicle that climbs is matched with.
 ///
@@ -91,19 +91,20 @@ impl PyMapStack {
     }
 
     /// Values at places and heights; arrays of any shape are broadcast. NaN off the map, next to holes, and below or above the stack.
-    #[pyo3(signature = (x, y, height_m, *, method = "bilinear"))]
+    #[pyo3(signature = (x, y, height_m, *, interpolation = "bilinear", method = None))]
     fn sample<'py>(
         &self,
         py: Python<'py>,
         x: &Bound<'py, PyAny>,
         y: &Bound<'py, PyAny>,
         height_m: &Bound<'py, PyAny>,
-        method: &str,
+        interpolation: &str,
+        method: Option<&str>,
     ) -> PyRes<Bound<'py, PyAny>> {
-        let method = interpolation(method)?;
+        let interpolation = read_by(py, interpolation, method)?;
         let ([x, y, h], shape) = broadcast(["x", "y", "height_m"], [x, y, height_m])?;
-        let values =
-            crate::pool::detached(py, || (0..x.len()).map(|i| self.inner.sample(x[i], y[i], h[i], method)).collect());
+        let sample = |i: usize| self.inner.sample(x[i], y[i], h[i], interpolation);
+        let values = crate::pool::detached(py, || (0..x.len()).map(sample).collect());
         shaped(py, values, &shape)
     }
 

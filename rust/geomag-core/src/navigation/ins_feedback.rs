@@ -20,11 +20,11 @@ pub struct InsErrorModel {
     /// Heading error at the start, degrees.
     pub heading_sigma_deg: f64,
     /// Root power density of the position's random walk, m / sqrt(s).
-    pub position_walk_m: f64,
+    pub position_walk_m_sqrt_s: f64,
     /// Root power density of the velocity's random walk, (m/s) / sqrt(s).
-    pub velocity_walk_m_s: f64,
+    pub velocity_walk_m_s_sqrt_s: f64,
     /// Root power density of the heading's random walk, degrees / sqrt(s).
-    pub heading_walk_deg: f64,
+    pub heading_walk_deg_sqrt_s: f64,
     /// Time after which a velocity error has forgotten itself (first-order Gauss-Markov), seconds; infinity is a pure
     /// random walk.
     pub velocity_time_constant_s: f64,
@@ -37,9 +37,9 @@ impl Default for InsErrorModel {
             position_sigma_m: 500.0,
             velocity_sigma_m_s: 0.5,
             heading_sigma_deg: 0.1,
-            position_walk_m: 0.1,
-            velocity_walk_m_s: 0.001,
-            heading_walk_deg: 0.0005,
+            position_walk_m_sqrt_s: 0.1,
+            velocity_walk_m_s_sqrt_s: 0.001,
+            heading_walk_deg_sqrt_s: 0.0005,
             velocity_time_constant_s: f64::INFINITY,
         }
     }
@@ -50,9 +50,9 @@ impl InsErrorModel {
         require_not_negative("position_sigma_m", self.position_sigma_m)?;
         require_not_negative("velocity_sigma_m_s", self.velocity_sigma_m_s)?;
         require_not_negative("heading_sigma_deg", self.heading_sigma_deg)?;
-        require_not_negative("position_walk_m", self.position_walk_m)?;
-        require_not_negative("velocity_walk_m_s", self.velocity_walk_m_s)?;
-        require_not_negative("heading_walk_deg", self.heading_walk_deg)?;
+        require_not_negative("position_walk_m_sqrt_s", self.position_walk_m_sqrt_s)?;
+        require_not_negative("velocity_walk_m_s_sqrt_s", self.velocity_walk_m_s_sqrt_s)?;
+        require_not_negative("heading_walk_deg_sqrt_s", self.heading_walk_deg_sqrt_s)?;
         if self.velocity_time_constant_s.is_nan() || self.velocity_time_constant_s <= 0.0 {
             let got = self.velocity_time_constant_s;
             return Err(Error::invalid("velocity_time_constant_s", "a number > 0 (infinity allowed)", got));
@@ -254,8 +254,8 @@ impl InsFeedback {
         f[(1, 4)] = -moved[0];
         // Noise of the velocity reaches the position through its integral; for steps that are short against tau these
         // are the integrals of a random walk, which bound the decaying ones.
-        let (qp, qv) = (m.position_walk_m.powi(2), m.velocity_walk_m_s.powi(2));
-        let qh = m.heading_walk_deg.to_radians().powi(2);
+        let (qp, qv) = (m.position_walk_m_sqrt_s.powi(2), m.velocity_walk_m_s_sqrt_s.powi(2));
+        let qh = m.heading_walk_deg_sqrt_s.to_radians().powi(2);
         let mut q = DMatrix::zeros(5, 5);
         for axis in 0..2 {
             q[(axis, axis)] = qp * dt + qv * dt.powi(3) / 3.0;

@@ -6,7 +6,6 @@ use geomag_core::error::Error;
 use geomag_core::field::Field;
 use geomag_core::matching::posterior::{self, Channel, PosteriorOptions};
 use geomag_core::track::Track;
-use pyo3::exceptions::PyDeprecationWarning;
 use pyo3::prelude::*;
 
 use super::calls::Extent;
@@ -15,6 +14,7 @@ use crate::arrays::vector;
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::long_call;
+use crate::options::old_name;
 use crate::stack::field_for;
 use crate::track::PyTrack;
 
@@ -43,38 +43,50 @@ pub struct Area {
 
 impl Area {
     pub fn of(options: PosteriorOptions, extent: Extent) -> PyRes<Self> {
-        let both = |name: &str| Err(invalid(name, "map units or metres, not both", "both"));
-        if extent.half_width.is_some() && extent.half_width_m.is_some() {
-            return both("half_width");
-        }
-        if options.step.is_some() && extent.step_m.is_some() {
-            return both("step");
-        }
-        if extent.half_width.is_none() && extent.half_width_m.is_none() {
-            let needed = "half_width_m= (metres), half_width= (map units) or search=: how far off the INS may be";
-            return Err(invalid("search", needed, "none of them"));
-        }
+        let extent = extent.check(options.step)?;
         Ok(Self { options, extent })
     }
 
     /// The options in units of a map, where metres are taken at this latitude (the map's middle where there is none).
     pub fn options(self, map: &dyn Field, y: Option<f64>) -> PyRes<PosteriorOptions> {
-        let mut options = self.options;
-        if self.extent.half_width_m.is_some() || self.extent.step_m.is_some() {
-            let middle = || map.layout().map_or(0.0, |g| 0.5 * (g.y().first() + g.y().last()));
-            let scale = map.metres_per_unit(y.unwrap_or_else(middle));
-            let units = |m: [f64; 2]| [m[0] / scale[0], m[1] / scale[1]];
-            options.step = self.extent.step_m.map(units).or(options.step);
-            options.half_width = self.extent.half_width_m.map_or(options.half_width, units);
-        }
-        options.half_width = self.extent.half_width.unwrap_or(options.half_width);
+        let (half_width, step) = self.extent.in_units(map, y, self.options.step);
+        let options = PosteriorOptions { half_width, step, ..self.options };
         options.validate()?;
         Ok(options)
     }
 }
 
+impl Extent {
+    /// Refuses an extent that is not given, or twice.
+    pub fn check(self, step: Option<[f64; 2]>) -> PyRes<Self> {
+        let both = |name: &str| Err(invalid(name, "map units or metres, not both", "both"));
+        if self.half_width.is_some() && self.half_width_m.is_some() {
+            return both("half_width");
+        }
+        if step.is_some() && self.step_m.is_some() {
+            return both("step");
+        }
+        if self.half_width.is_none() && self.half_width_m.is_none() {
+            let needed = "half_width_m= (metres) or half_width= (map units): how far off the INS may be";
+            return Err(invalid("search", needed, "neither"));
+        }
+        Ok(self)
+    }
+
+    /// Half width and step in map units, where metres are taken at this latitude (the map's middle where there is none).
+    pub fn in_units(self, map: &dyn Field, y: Option<f64>, step: Option<[f64; 2]>) -> ([f64; 2], Option<[f64; 2]>) {
+        let middle = || map.layout().map_or(0.0, |g| 0.5 * (g.y().first() + g.y().last()));
+        let units = |m: [f64; 2]| {
+            let scale = map.metres_per_unit(y.unwrap_or_else(middle));
+            [m[0] / scale[0], m[1] / scale[1]]
+        };
+        let half_width = self.half_width.or_else(|| self.half_width_m.map(units)).unwrap_or_default();
+        (half_width, self.step_m.map(units).or(step))
+    }
+}
+
 /// Mean y of tracks: where metres are taken.
-fn middle<'a>(tracks: impl IntoIterator<Item = &'a Track>) -> Option<f64> {
+pub fn middle<'a>(tracks: impl IntoIterator<Item = &'a Track>) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0.0);
     for y in tracks.into_iter().flat_map(Track::y) {
         sum += y;
@@ -90,8 +102,7 @@ fn extras(
     track: &Track,
 ) -> PyRes<Vec<Extra>> {
     if more.is_some() {
-        let old = c"more= is the old name of channels=";
-        PyErr::warn(py, &py.get_type::<PyDeprecationWarning>(), old, 1)?;
+        old_name(py, "more", "channels")?;
     }
     let mut out = Vec::new();
     for item in channels.into_iter().chain(more).flatten() {

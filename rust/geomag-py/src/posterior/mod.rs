@@ -5,8 +5,10 @@ mod matching;
 mod prediction;
 mod streaming;
 
+pub use calls::Extent;
 pub use calls::{
     PyAcceptance, PyInsPrior, PyPosteriorMatcher, PySearchBox, match_posterior, match_posterior_many, predict_many,
 };
+pub use matching::middle;
 pub use prediction::PyPrediction;
 pub use streaming::PyPosteriorStep;

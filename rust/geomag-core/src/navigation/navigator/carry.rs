@@ -76,7 +76,7 @@ impl Navigator {
             noise[GYRO + axis] = -ins.gyro_rad_s().powi(2) * libm::expm1(-2.0 * gyro * dt);
             factors[GYRO + axis - COUPLED] = libm::exp(-gyro * dt);
         }
-        noise[BIAS] = self.state.options.bias_walk.powi(2) * dt;
+        noise[BIAS] = self.state.options.bias_walk_sqrt_s.powi(2) * dt;
         if !turns {
             // A turn throws the heading error into the velocity, and nobody says when one is flown.
             for axis in 0..2 {

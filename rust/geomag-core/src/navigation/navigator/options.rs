@@ -33,73 +33,89 @@ impl Method {
     }
 }
 
-/// Options of a [`Navigator`](super::Navigator). What the map's error model knows is taken from there.
-///
-/// ```
-/// use geomag_core::navigation::navigator::{InsModel, NavigatorOptions};
-/// let options = NavigatorOptions { ins: InsModel::tactical(), ..NavigatorOptions::new(300.0) };
-/// assert!(options.validate().is_ok());
-/// ```
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NavigatorOptions {
-    /// The INS whose output is corrected.
-    pub ins: InsModel,
-    /// True place at the first step as far as it is known, map units; `None` takes the first that is indicated.
-    pub start: Option<[f64; 2]>,
-    /// Covariance of that place, square metres, east-north.
-    pub covariance_m2: [[f64; 2]; 2],
-    /// Standard deviation of the white error of one reading, value units.
-    pub reading_sigma: f64,
-    /// Standard deviation of the sensor's constant error at the start, value units.
-    pub bias_sigma: f64,
-    /// Its random walk, value units per square root of a second. The level is information: a bias that is let walk fast
-    /// throws it away.
-    pub bias_walk: f64,
-    /// Stretch over which readings are gathered into one measurement, metres; `None` takes what the map's errors ask for, 0 takes
-    /// every reading by itself.
-    pub batch_m: Option<f64>,
-    /// Displacement of the map's features, in distances to the data; `None` takes what the map knows.
-    pub registration: Option<f64>,
-    /// Degrees of freedom of the Student-t law of a measurement; infinite for the normal law.
-    pub nu: f64,
-    /// Position sigma up to which the field is taken as straight enough to track, metres; `None` asks the map.
-    pub linear_m: Option<f64>,
-    /// Probability with which the error may exceed the protection level.
-    pub integrity_risk: f64,
-    /// Covariance of the coefficients of terms that the readings contain besides the field (the vehicle's own: Tolles-Lawson), row by row; empty
-    /// for readings without.
-    pub terms_covariance: Vec<f64>,
-    /// The matcher beside the filter; `None` for none.
-    pub matcher: Option<MatcherPlan>,
-    /// Which filter.
-    pub method: Method,
-    /// Latitude of a map in projected metres, degrees: the Earth turns under it.
-    pub latitude_deg: f64,
+/// The options of a navigator, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! navigator_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            extent [
+                (position_sigma_m: maybe_number = None; "float, optional";
+                    "Standard deviation of the place at the start on each axis, metres; 100 where neither this nor `covariance_m2` is given.")
+            ]
+            options [
+                (ins: ins = None; "InsModel, optional";
+                    "The INS whose output is corrected; `InsModel.navigation()` by default.")
+                (start: maybe_pair = None; "float or (float, float), optional";
+                    "True place at the first step as far as it is known, map units; the first that is indicated by default.")
+                (covariance_m2: covariance = None; "float or array of shape (2, 2), optional";
+                    "Covariance of that place, square metres, east-north; a number is the variance on each axis.")
+                (reading_sigma: number = 1.0; "float";
+                    "Standard deviation of the white error of one reading, value units.")
+                (bias_sigma: number = 30.0; "float";
+                    "Standard deviation of the sensor's constant error at the start, value units.")
+                (bias_walk_sqrt_s: number = 0.03; "float";
+                    "Random walk of that error, value units per square root of a second. The level is information: a bias that is let walk"
+                    "fast throws it away.")
+                (batch_m: maybe_number = None; "float, optional";
+                    "Stretch over which readings are gathered into one measurement, metres; by default what the map's errors ask for; 0 takes"
+                    "every reading by itself.")
+                (registration: maybe_number = None; "float, optional";
+                    "Displacement of the map's features, in distances to the data; by default what the map knows.")
+                (nu: number = 3.0; "float";
+                    "Degrees of freedom of the Student-t law of a measurement; infinite for the normal law.")
+                (linear_m: maybe_number = None; "float, optional";
+                    "Position sigma up to which the field is straight enough to track, metres; from the map by default.")
+                (integrity_risk: number = 1e-3; "float";
+                    "Probability with which the error may exceed the protection level.")
+                (terms_covariance: matrix = None; "array of shape (m, m), optional";
+                    "Covariance of the coefficients of terms that the readings contain besides the field (the vehicle's own: Tolles-Lawson),"
+                    "which are then states of the filter; `terms` of a step are what they are multiplied by.")
+                (matcher: matcher = "default"; "MatcherPlan, 'default' or None";
+                    "The matcher beside the filter, for a start known to kilometres, for a lost lock and a look round now and then; None for"
+                    "none.")
+                (method: method = "navigator"; "{'navigator', 'ekf', 'rbpf'}";
+                    "Which filter: geomag's own, or to compare with it the textbooks' extended Kalman filter and, for whole flights only, the"
+                    "Rao-Blackwellised particle filter.")
+                (latitude_deg: number = 45.0; "float";
+                    "Latitude of a map in projected metres, degrees: the Earth turns under it.")
+            ]
+        }
+    };
 }
 
-impl NavigatorOptions {
-    /// Defaults for a start whose standard deviation on each axis is `position_sigma_m`.
-    pub fn new(position_sigma_m: f64) -> Self {
-        let variance = position_sigma_m * position_sigma_m;
-        Self {
-            ins: InsModel::navigation(),
-            start: None,
-            covariance_m2: [[variance, 0.0], [0.0, variance]],
-            reading_sigma: 1.0,
-            bias_sigma: 30.0,
-            bias_walk: 0.03,
-            batch_m: None,
-            registration: None,
-            nu: 3.0,
-            linear_m: None,
-            integrity_risk: 1e-3,
-            terms_covariance: Vec::new(),
-            matcher: Some(MatcherPlan::default()),
-            method: Method::Navigator,
-            latitude_deg: 45.0,
+macro_rules! navigator_struct {
+    (
+        extent $extent:tt
+        $($part:ident [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*])*
+    ) => {
+        /// Options of a [`Navigator`](super::Navigator). What the map's error model knows is taken from there.
+        ///
+        /// ```
+        /// use geomag_core::navigation::navigator::{InsModel, NavigatorOptions};
+        /// let options = NavigatorOptions { ins: InsModel::tactical(), ..NavigatorOptions::new(300.0) };
+        /// assert!(options.validate().is_ok());
+        /// ```
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub struct NavigatorOptions {
+            $($($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*)*
         }
-    }
 
+        impl NavigatorOptions {
+            /// Defaults for a start whose standard deviation on each axis is `position_sigma_m`.
+            pub fn new(position_sigma_m: f64) -> Self {
+                let variance = position_sigma_m * position_sigma_m;
+                let defaults = Self { $($($name: option_default!($kind $default),)*)* };
+                Self { covariance_m2: [[variance, 0.0], [0.0, variance]], ..defaults }
+            }
+        }
+    };
+}
+
+navigator_options!(navigator_struct);
+
+impl NavigatorOptions {
     /// Checks the ranges of all options.
     ///
     /// # Errors
@@ -110,9 +126,11 @@ impl NavigatorOptions {
             require_place("start", false, *start)?;
         }
         check_covariance(&self.covariance_m2)?;
-        for (name, value) in
-            [("reading_sigma", self.reading_sigma), ("bias_sigma", self.bias_sigma), ("bias_walk", self.bias_walk)]
-        {
+        for (name, value) in [
+            ("reading_sigma", self.reading_sigma),
+            ("bias_sigma", self.bias_sigma),
+            ("bias_walk_sqrt_s", self.bias_walk_sqrt_s),
+        ] {
             require_spread(name, value)?;
         }
         if let Some(length) = self.batch_m {
