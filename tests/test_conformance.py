@@ -35,20 +35,32 @@ def run_posterior(grid, track):
     return geomag.match_posterior(grid, track, half_width=half, sigma=SIGMA, tolerance_m=100.0, max_risk=0.01)
 
 
+def run_posterior_stream(grid, track):
+    half = HALF_M / np.array(grid.metres_per_unit(float(track.y[-1])))
+    return geomag.PosteriorMatcher(grid, half_width=half, sigma=SIGMA, tolerance_m=100.0, max_risk=0.01).run(track)
+
+
+CONTOUR = {
+    "transform": "translation",
+    "radius_m": 2 * HALF_M,
+    "starts": "grid",
+    "refine": True,
+    # It reads the map bicubically, the readings here are bilinear: the difference is the map's error.
+    "sigma": 4.0,
+    "offset_sigma_m": HALF_M / 2,
+    "heading_sigma_deg": 0.1,
+    "scale_sigma": 0.001,
+}
+
+
 def run_contour(grid, track):
-    return geomag.match_contour(
-        grid,
-        track,
-        transform="translation",
-        radius_m=2 * HALF_M,
-        starts="grid",
-        refine=True,
-        # It reads the map bicubically, the readings here are bilinear: the difference is the map's error.
-        sigma=4.0,
-        offset_sigma_m=HALF_M / 2,
-        heading_sigma_deg=0.1,
-        scale_sigma=0.001,
-    )
+    return geomag.match_contour(grid, track, **CONTOUR)
+
+
+def run_sliding(grid, track):
+    sliding = geomag.SlidingContour(grid, length=len(track), **CONTOUR)
+    fixes = [sliding.update(x, y, value) for x, y, value in zip(track.x, track.y, track.values, strict=True)]
+    return fixes[-1]
 
 
 #: name -> (function of map and track, error it may have, m)
@@ -59,7 +71,9 @@ MATCHERS = {
     "ncc": (run_grid("ncc"), 15.0),
     "hausdorff": (run_grid("hausdorff"), 25.0),
     "posterior": (run_posterior, 25.0),
+    "posterior, streamed": (run_posterior_stream, 25.0),
     "contour": (run_contour, 15.0),
+    "contour, sliding": (run_sliding, 15.0),
 }
 
 
