@@ -14,6 +14,7 @@ import numpy.typing as npt
 import typer
 
 from geomag._errors import InvalidInputError, MissingFileError
+from geomag._explained import explained
 from geomag._geomag import GridMap, InsModel, Navigator, Track
 from geomag._navigation import Navigation
 from geomag._navigation import navigate as navigate_log
@@ -68,18 +69,17 @@ def navigate(
         str, typer.Option(help="Grade of the INS, navigation or tactical, or a TOML file with its figures.")
     ] = "navigation",
     position_sigma_m: Annotated[
-        float, typer.Option(callback=positive, help="Standard deviation of the start on each axis, m.")
-    ] = 100.0,
+        float | None, typer.Option(callback=positive, help=explained(Navigator, "position_sigma_m"))
+    ] = None,
     reading_sigma: Annotated[
-        float, typer.Option(callback=not_negative, help="White noise of a reading, map's unit.")
-    ] = 1.0,
+        float | None, typer.Option(callback=not_negative, help=explained(Navigator, "reading_sigma"))
+    ] = None,
     bias_sigma: Annotated[
-        float,
-        typer.Option(callback=not_negative, help="Standard deviation of the sensor's constant error, map's unit."),
-    ] = 30.0,
+        float | None, typer.Option(callback=not_negative, help=explained(Navigator, "bias_sigma"))
+    ] = None,
     integrity_risk: Annotated[
-        float, typer.Option(callback=share, help="Probability with which the error may exceed the protection level.")
-    ] = 1e-3,
+        float | None, typer.Option(callback=share, help=explained(Navigator, "integrity_risk"))
+    ] = None,
     map_sigma: Annotated[
         float | None,
         typer.Option(
@@ -115,13 +115,11 @@ def navigate(
     grid = read_grid(map, variable, geographic=geographic, sigma=map_sigma)
     grid = with_told_errors(grid, line_spacing_m, map_sigma)
     model = ins_model(ins)
+    # What is not told stands at the navigator's own defaults.
     options: dict[str, Any] = {
-        "ins": model,
-        "position_sigma_m": position_sigma_m,
-        "reading_sigma": reading_sigma,
-        "bias_sigma": bias_sigma,
+        "ins": model, "position_sigma_m": position_sigma_m, "reading_sigma": reading_sigma, "bias_sigma": bias_sigma,
         "integrity_risk": integrity_risk,
-    }
+    }  # fmt: skip
     columns = {"time_s": time, "x": x, "y": y, "value": value}
     if str(log) == "-":
         for name, asked in (("--plot", plot), ("--report", report), ("--out", out)):
@@ -144,7 +142,8 @@ def navigate(
     if out is not None:
         write_track(out, flight, flown)
     settings: dict[str, object] = {"map": map, "log": log, "ins": ins} | model.to_dict()
-    settings |= {"position-sigma-m": position_sigma_m, "reading-sigma": reading_sigma, "integrity-risk": integrity_risk}
+    told = {"position-sigma-m": position_sigma_m, "reading-sigma": reading_sigma, "integrity-risk": integrity_risk}
+    settings |= {name: value for name, value in told.items() if value is not None}
     if plot is not None:
         from geomag.plot import navigation_figure, save
 
