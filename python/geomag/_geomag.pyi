@@ -1174,7 +1174,7 @@ class FieldNavigator:
         speed_sigma_m_s: float = 0.0,
         speed_walk: float = 0.0,
         heading_sigma_deg: float = 0.0,
-        heading_walk_deg_sqrt_s: float = 0.0,
+        heading_walk_deg: float = 0.0,
         bias_sigma: float = 0.0,
         bias_walk: float = 0.0,
         gate: float | None = ...,
