@@ -58,8 +58,8 @@ def test_gradient_equals_differences(method):
     rng, _, x, y, grid = make(3)
     px, py = rng.uniform(x[1], x[-2], 200), rng.uniform(y[1], y[-2], 200)
     h = 1e-6
-    east, north = grid.gradient(px, py, method=method)
-    sample = lambda a, b: grid.sample(a, b, method=method)  # noqa: E731
+    east, north = grid.gradient(px, py, interpolation=method)
+    sample = lambda a, b: grid.sample(a, b, interpolation=method)  # noqa: E731
     inside = (np.abs((px - x[0]) / 2.5 % 1 - 0.5) < 0.49) & (np.abs((py - y[0]) / 4 % 1 - 0.5) < 0.49)
     np.testing.assert_allclose(east[inside], ((sample(px + h, py) - sample(px - h, py)) / (2 * h))[inside], atol=1e-5)
     np.testing.assert_allclose(north[inside], ((sample(px, py + h) - sample(px, py - h)) / (2 * h))[inside], atol=1e-5)

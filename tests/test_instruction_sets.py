@@ -29,7 +29,7 @@ for kind in ("float64", "float32"):
     x, y = 9000 + 170.0 * k, 8000 + 140.0 * k
     values = value(x, y)
     track = geomag.Track(x - 430, y + 310, values)
-    out[kind + " sample"] = np.concatenate([grid.sample(x, y, method=m) for m in ("bilinear", "bicubic")])
+    out[kind + " sample"] = np.concatenate([grid.sample(x, y, interpolation=m) for m in ("bilinear", "bicubic")])
     for criterion in ("msd", "mad", "prod", "ncc"):
         fix = geomag.match_grid(grid, track, criterion, half_width=1500.0, surface=True, threads=threads)
         out[f"{kind} {criterion} surface"] = np.asarray(fix.surface, dtype=float).ravel()

@@ -44,10 +44,15 @@ class GeomagAccessor:
         return GridMap.from_xarray(self._data)
 
     def sample(
-        self, x: ArrayLike, y: ArrayLike, method: Literal["bilinear", "bicubic"] = "bilinear"
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        interpolation: Literal["bilinear", "bicubic"] = "bilinear",
+        *,
+        method: Literal["bilinear", "bicubic"] | None = None,
     ) -> NDArray[np.float64]:
-        """Values at points; NaN off the map."""
-        found: NDArray[np.float64] = self.grid.sample(x, y, method=method)
+        """Values at points; NaN off the map. `method` is an old name of `interpolation`."""
+        found: NDArray[np.float64] = self.grid.sample(x, y, interpolation=interpolation, method=method)
         return found
 
     def match(self, track: Track, criterion: str = "msd", **options: Any) -> Fix:  # noqa: ANN401 - passed on

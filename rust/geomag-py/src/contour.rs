@@ -304,7 +304,7 @@ type OtherChannel<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, f64);
 /// >>> x = np.arange(0.0, 12000.0, 100.0)
 /// >>> grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] * np.cos(x / 1100)[:, None], x, x)
 /// >>> k = np.arange(30.0)
-/// >>> readings = grid.sample(3210 + 150 * k, 3875 + 90 * k, method="bicubic")
+/// >>> readings = grid.sample(3210 + 150 * k, 3875 + 90 * k, interpolation="bicubic")
 /// >>> track = geomag.Track(3000 + 150 * k, 4000 + 90 * k, readings)
 /// >>> fix = geomag.match_contour(grid, track, starts="grid", refine=True, sigma=0.1, offset_sigma_m=300.0,
 /// ...                            heading_sigma_deg=0.5)

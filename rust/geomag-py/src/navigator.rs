@@ -292,7 +292,7 @@ impl PyNavigatorStep {
 /// >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
 /// >>> nav = geomag.FieldNavigator(grid, start=(310.0, 495.0), covariance_m2=100.0, reading_sigma=1.0)
 /// >>> for k in range(1, 60):
-/// ...     step = nav.step(1.0, 5.0, 90.0, grid.sample(300.0 + 5 * k, 500.0, method="bicubic"))
+/// ...     step = nav.step(1.0, 5.0, 90.0, grid.sample(300.0 + 5 * k, 500.0, interpolation="bicubic"))
 /// >>> bool(np.hypot(step.x - 595.0, step.y - 500.0) < 1.0)
 /// True
 #[pyclass(frozen, name = "FieldNavigator", module = "geomag")]
