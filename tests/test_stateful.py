@@ -222,7 +222,7 @@ def test_many_threads_on_one_map():
     place = np.linspace(100, 3800, 500)
 
     def all_of_it():
-        sampled = GRID.sample(place, place[::-1], method="bicubic")
+        sampled = GRID.sample(place, place[::-1], interpolation="bicubic")
         fix = geomag.match_grid(GRID, track, half_width=150.0)
         posterior = geomag.match_posterior(GRID, track, half_width=150.0, sigma=0.5)
         return sampled.tobytes(), repr(fix), repr(posterior), pickle.dumps(GRID)

@@ -37,13 +37,13 @@ impl Drift {
         for _ in 0..steps {
             let turned = [moved[1], -moved[0]];
             for (i, turned) in turned.into_iter().enumerate() {
-                let walk = self.model.position_walk_m * d.sqrt() * self.z();
+                let walk = self.model.position_walk_m_sqrt_s * d.sqrt() * self.z();
                 self.position[i] += self.velocity[i] * d + self.heading * turned / f64::from(steps) + walk;
             }
             for i in 0..2 {
-                self.velocity[i] = decay * self.velocity[i] + self.model.velocity_walk_m_s * d.sqrt() * self.z();
+                self.velocity[i] = decay * self.velocity[i] + self.model.velocity_walk_m_s_sqrt_s * d.sqrt() * self.z();
             }
-            self.heading += self.model.heading_walk_deg.to_radians() * d.sqrt() * self.z();
+            self.heading += self.model.heading_walk_deg_sqrt_s.to_radians() * d.sqrt() * self.z();
         }
     }
 }
