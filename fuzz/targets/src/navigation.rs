@@ -47,7 +47,7 @@ fn options(s: &mut Source<'_>, field: &dyn Field) -> NavigatorOptions {
     }
     options.reading_sigma = s.number(0.0, 5.0);
     options.bias_sigma = s.number(0.0, 50.0);
-    options.bias_walk = s.number(0.0, 0.1);
+    options.bias_walk_sqrt_s = s.number(0.0, 0.1);
     options.batch_m = s.maybe(0.0, 500.0);
     options.registration = s.maybe(0.0, 0.5);
     options.nu = if s.one_in(4) { f64::INFINITY } else { s.number(1.0, 10.0) };
@@ -299,9 +299,9 @@ pub fn ins_feedback(data: &[u8]) {
         position_sigma_m: s.number(0.0, 1000.0),
         velocity_sigma_m_s: s.number(0.0, 2.0),
         heading_sigma_deg: s.number(0.0, 1.0),
-        position_walk_m: s.number(0.0, 1.0),
-        velocity_walk_m_s: s.number(0.0, 0.01),
-        heading_walk_deg: s.number(0.0, 0.01),
+        position_walk_m_sqrt_s: s.number(0.0, 1.0),
+        velocity_walk_m_s_sqrt_s: s.number(0.0, 0.01),
+        heading_walk_deg_sqrt_s: s.number(0.0, 0.01),
         velocity_time_constant_s: if s.one_in(2) { f64::INFINITY } else { s.number(1.0, 1e5) },
     };
     let geographic = s.one_in(2);
