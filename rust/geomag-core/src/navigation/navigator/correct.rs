@@ -2,11 +2,10 @@
 
 use super::filter::Filter;
 use super::integrity::RunningNis;
-use super::motion::{POSITION, VELOCITY};
+use super::motion::{FASTEST_M_S, POSITION, VELOCITY};
 use super::options::check_covariance;
 use super::state::Navigator;
 use super::states::BIAS;
-use super::step::FASTEST_M_S;
 use crate::bounds::require_place;
 use crate::error::{Error, Result, require_finite};
 use crate::fix::Fix;

@@ -20,6 +20,8 @@ use super::ins::GRAVITY_M_S2;
 
 /// Rate of the Earth's rotation, radians a second (WGS84).
 pub const EARTH_RATE_RAD_S: f64 = 7.292_115e-5;
+/// Fastest vehicle, metres a second.
+pub(super) const FASTEST_M_S: f64 = 1e4;
 
 /// Position error to the east, metres; that to the north is the next, and so for every pair.
 pub(super) const POSITION: usize = 0;

@@ -1,6 +1,6 @@
 //! One step: carry the errors on, take a reading in, say where the vehicle is.
 
-use super::motion::{POSITION, TILT, VELOCITY};
+use super::motion::{FASTEST_M_S, POSITION, TILT, VELOCITY};
 use super::options::MOST_LATITUDE_DEG;
 use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome};
 use super::state::{Navigator, Newest};
@@ -10,8 +10,6 @@ use crate::error::{Error, Result, require_finite};
 
 /// Longest time between two steps, seconds.
 const LONGEST_GAP_S: f64 = 86_400.0;
-/// Fastest vehicle, metres a second.
-pub(super) const FASTEST_M_S: f64 = 1e4;
 impl Navigator {
     /// Goes on to what the INS indicates now, and takes in a reading where there is one.
     ///
