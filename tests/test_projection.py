@@ -127,8 +127,8 @@ def test_mercator_has_its_true_scale():
     assert grid.metres_per_unit(float(grid.y[-1]))[0] < east < grid.metres_per_unit(float(grid.y[0]))[0]
     for method in ("bilinear", "bicubic"):
         steep, flat = (
-            grid.gradient(grid.x[40], grid.y[50], method=method),
-            mercator().gradient(grid.x[40], grid.y[50], method=method),
+            grid.gradient(grid.x[40], grid.y[50], interpolation=method),
+            mercator().gradient(grid.x[40], grid.y[50], interpolation=method),
         )
         assert steep[0] == pytest.approx(flat[0] / grid.metres_per_unit(float(grid.y[50]))[0])
     back = pickle.loads(pickle.dumps(grid))
