@@ -18,40 +18,6 @@ pub(in super::super) fn score<const BOUND: bool>(
     crate::instructions::chosen().dispatch(Block::<'_, '_, BOUND> { setup, offsets, levels, scratch })
 }
 
-/// Log-likelihoods of the same candidates (at most [`LANES`]; cells of the map) under one level for several setups that differ in their
-/// nuisance parameters only: the map is read once, and the parameters are sought less closely.
-pub(in super::super) fn compare(
-    setups: &[Setup<'_>],
-    offsets: &[[f64; 2]],
-    level: usize,
-    scratch: &mut Scratch,
-) -> Vec<Wide> {
-    crate::instructions::chosen().dispatch(Comparison { setups, offsets, level, scratch })
-}
-
-struct Comparison<'a, 'b> {
-    setups: &'a [Setup<'b>],
-    offsets: &'a [[f64; 2]],
-    level: usize,
-    scratch: &'a mut Scratch,
-}
-
-impl pulp::WithSimd for Comparison<'_, '_> {
-    type Output = Vec<Wide>;
-
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) -> Vec<Wide> {
-        let levels = self.level..self.level + 1;
-        if let Some(first) = self.setups.first() {
-            fill::<false>(first, self.offsets, &first.levels[levels.clone()], self.scratch);
-        }
-        let one = |setup: &Setup<'_>| {
-            evaluate::<false>(setup, levels.clone(), &WIDENING[1..3], self.scratch).log_likelihood[self.level]
-        };
-        self.setups.iter().map(one).collect()
-    }
-}
-
 struct Block<'a, 'b, const BOUND: bool> {
     setup: &'a Setup<'b>,
     offsets: &'a [[f64; 2]],

@@ -5,7 +5,7 @@ use super::super::nuisance::Shape;
 use super::setup::{LANES, Lane, MOST, Row, Scratch, Setup, Wide};
 
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
-const PRODUCT: usize = 4;
+pub(super) const PRODUCT: usize = 4;
 /// Largest factor of such a product: beyond it a candidate is dead whatever the rest says.
 const LARGEST: f32 = 1e9;
 /// Share of a sample inside its cell's reach in the step of a bound's bias: it does not pull, but must not let go at once.
@@ -17,10 +17,10 @@ const SEEKING_NU: f64 = 10.0;
 /// The law of one sample: a Student-t loss up to a greatest one.
 #[derive(Clone, Copy)]
 pub(super) struct Tails {
-    nu: f32,
+    pub nu: f32,
     seeking_nu: f32,
     /// Greatest 1 + z^2 / nu, and the z^2 of it.
-    most: f32,
+    pub most: f32,
     cut: f32,
 }
 
@@ -37,14 +37,14 @@ impl Tails {
 
     /// Degrees of freedom of a turn of the reweighting, and the z^2 beyond which a sample has no weight in it.
     #[inline(always)]
-    fn turn(self, last: bool) -> (f32, f32) {
+    pub fn turn(self, last: bool) -> (f32, f32) {
         if last { (self.nu, self.cut) } else { (self.seeking_nu, f32::INFINITY) }
     }
 }
 
 /// Natural logarithm of positive normal numbers to 2e-7: exponent and the series of 2 artanh((m - 1) / (m + 1)).
 #[inline(always)]
-fn logarithm(x: f32) -> f32 {
+pub(super) fn logarithm(x: f32) -> f32 {
     let bits = x.to_bits();
     // Mantissa brought to [sqrt 1/2, sqrt 2).
     let shifted = bits.wrapping_sub(0x3f35_04f3);
@@ -186,16 +186,22 @@ pub(super) fn derivatives<const M: usize>(setup: &Setup<'_>, row: &Row, k: usize
         h[0] = [1.0; LANES];
     }
     for (h, shape) in h.iter_mut().skip(with_bias).zip(setup.shapes) {
-        match shape {
-            Shape::Moved(by) => {
-                let [east, north] = by[k];
-                for l in 0..LANES {
-                    h[l] = row.gradient[0][l] * east + row.gradient[1][l] * north;
-                }
+        derivative(setup.per_unit, shape, row, k, h);
+    }
+}
+
+/// Derivative of one sample's residual by one parameter.
+#[inline(always)]
+pub(super) fn derivative(per_unit: f32, shape: &Shape, row: &Row, k: usize, h: &mut Lane) {
+    match shape {
+        Shape::Moved(by) => {
+            let [east, north] = by[k];
+            for l in 0..LANES {
+                h[l] = row.gradient[0][l] * east + row.gradient[1][l] * north;
             }
-            Shape::Added(by) => *h = [by[k] * setup.per_unit; LANES],
-            Shape::Lifted => *h = row.lift,
         }
+        Shape::Added(by) => *h = [by[k] * per_unit; LANES],
+        Shape::Lifted => *h = row.lift,
     }
 }
 
@@ -316,7 +322,7 @@ pub(super) fn nuisances<const BOUND: bool, const M: usize>(
 ///
 /// A pivot that rounding has made zero or negative, of a lane without known samples, is taken as tiny.
 #[inline(always)]
-fn factorise<const M: usize>(a: &mut [[Wide; M]; M], size: usize) {
+pub(super) fn factorise<const M: usize>(a: &mut [[Wide; M]; M], size: usize) {
     for i in 0..size {
         for j in 0..=i {
             let mut sum = a[i][j];

@@ -19,8 +19,10 @@ mod block;
 mod closely;
 mod fill;
 mod integral;
+mod screen;
 mod setup;
 
-pub(super) use block::{compare, score};
+pub(super) use block::score;
 pub(super) use closely::{Detail, detail};
+pub(super) use screen::{Screened, screen};
 pub(super) use setup::{LANES, Scores, Scratch, Setup, Wide};

@@ -9,6 +9,8 @@ pub(in super::super) const LANES: usize = 16;
 const PART_TOLERANCE: f32 = 4e-7;
 /// Most rows of the lattice in one block up to which the map is read in rows.
 pub(super) const RUNS: usize = 3;
+/// Most cells between the offsets of such a row.
+const MOST_STRIDE: f64 = 32.0;
 
 /// Up to [`LANES`] offsets in cells, as whole cells and the rest; the last is repeated where there are fewer.
 #[derive(Debug)]
@@ -17,9 +19,10 @@ pub(in super::super) struct Cells {
     pub(super) part: [[f32; LANES]; 2],
     /// 1 for an offset, 0 for a repetition.
     pub used: [f32; LANES],
-    /// Where rows of offsets one cell apart start, and how many such rows there are.
+    /// Where rows of offsets a whole number of cells apart start, how many such rows there are, and that number.
     pub(super) starts: [usize; RUNS],
     pub(super) runs: usize,
+    pub(super) stride: usize,
     /// Lanes of the least and the greatest offset along each axis.
     pub(super) extremes: [[usize; 2]; 2],
 }
@@ -33,6 +36,7 @@ impl Cells {
             used: [0.0; LANES],
             starts: [0; RUNS],
             runs: usize::from(!offsets.is_empty()),
+            stride: 0,
             extremes: [[0; 2]; 2],
         };
         for lane in 0..LANES {
@@ -43,10 +47,14 @@ impl Cells {
             }
             if lane > 0 && lane < offsets.len() {
                 let before = offsets[lane - 1];
-                if offset[1] == before[1] && (offset[0] - before[0] - 1.0).abs() < 1e-9 {
+                let apart = offset[0] - before[0];
+                if cells.stride == 0 {
+                    cells.stride = apart.round().clamp(1.0, MOST_STRIDE) as usize;
+                }
+                if offset[1] == before[1] && (apart - cells.stride as f64).abs() < 1e-9 {
                     // To the bit, so that no rounding puts one of them into another cell than its row says.
                     place.part = cells.part.map(|part| part[lane - 1]);
-                    place.whole = [cells.whole[0][lane - 1] + 1, cells.whole[1][lane - 1]];
+                    place.whole = [cells.whole[0][lane - 1] + cells.stride as i32, cells.whole[1][lane - 1]];
                 } else {
                     if cells.runs < RUNS {
                         cells.starts[cells.runs] = lane;

@@ -18,8 +18,8 @@ impl Patch {
         let everywhere = on_columns[left] & on_columns[right] & on_rows[lower] & on_rows[upper] == 2;
         let (left, right, lower, upper) = (column[left], column[right], row[lower], row[upper]);
         let first = lower as usize * self.columns + left as usize;
-        let way = if cells.runs <= RUNS && everywhere && self.levels[0][VALUE].len() > first + self.columns + 2 * LANES
-        {
+        let room = self.columns + (LANES + 1) * cells.stride.max(1);
+        let way = if cells.runs <= RUNS && everywhere && self.levels[0][VALUE].len() > first + room {
             Way::Rows
         } else if right - left <= 1 && upper - lower <= 1 {
             Way::Close([left, lower])
@@ -50,7 +50,12 @@ impl Patch {
 
     #[inline(always)]
     fn read_level<const QUANTITY: usize>(&self, level: usize, cells: &Cells, spots: &mut Spots) -> Corners {
-        let plane = self.levels[level][QUANTITY].as_slice();
+        self.read_plane(self.levels[level][QUANTITY].as_slice(), cells, spots)
+    }
+
+    /// A plane on the nodes of the patch at the nodes around these spots.
+    #[inline(always)]
+    pub fn read_plane(&self, plane: &[f32], cells: &Cells, spots: &mut Spots) -> Corners {
         let read = match spots.way {
             Way::Rows => self.in_rows(plane, cells, spots),
             Way::Close(lowest) => self.close(plane, lowest, spots),
@@ -59,16 +64,37 @@ impl Patch {
         read.unwrap_or_else(|| self.apart(plane, spots))
     }
 
-    /// Offsets one cell apart along x, row by row.
+    /// Offsets a whole number of cells apart along x, row by row.
     #[inline(always)]
     fn in_rows(&self, plane: &[f32], cells: &Cells, spots: &Spots) -> Option<Corners> {
+        match cells.stride {
+            0 | 1 => self.in_rows_of::<1>(plane, cells, spots),
+            2 => self.in_rows_of::<2>(plane, cells, spots),
+            3 => self.in_rows_of::<3>(plane, cells, spots),
+            4 => self.in_rows_of::<4>(plane, cells, spots),
+            _ => self.in_rows_of::<0>(plane, cells, spots),
+        }
+    }
+
+    /// The same for a `STRIDE` that is known, or any other (0).
+    #[inline(always)]
+    fn in_rows_of<const STRIDE: usize>(&self, plane: &[f32], cells: &Cells, spots: &Spots) -> Option<Corners> {
+        let stride = if STRIDE == 0 { cells.stride } else { STRIDE };
         // Every row is written from its first lane on, beyond the last lane; the next one goes over the rest.
         let mut padded = [[0.0_f32; 2 * LANES]; 4];
         for &start in cells.starts.iter().take(cells.runs) {
             let low = spots.row[start] as usize * self.columns + spots.column[start] as usize;
             let high = low + self.columns;
             for (i, corner) in [low, low + 1, high, high + 1].into_iter().zip(&mut padded) {
-                corner.get_mut(start..start + LANES)?.copy_from_slice(plane.get(i..i + LANES)?);
+                let corner = corner.get_mut(start..start + LANES)?;
+                if STRIDE == 1 {
+                    corner.copy_from_slice(plane.get(i..i + LANES)?);
+                } else {
+                    let nodes = plane.get(i..=i + (LANES - 1) * stride)?;
+                    for (corner, node) in corner.iter_mut().zip(nodes.iter().step_by(stride)) {
+                        *corner = *node;
+                    }
+                }
             }
         }
         let mut corners = Corners([[0.0; LANES]; 4]);

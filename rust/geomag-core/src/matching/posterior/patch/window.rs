@@ -167,7 +167,7 @@ impl Patch {
     }
 
     /// The values of the window at a height.
-    fn at_height(&self, grid: &GridMap, height_m: f64) -> Vec<f32> {
+    pub fn at_height(&self, grid: &GridMap, height_m: f64) -> Vec<f32> {
         let (own, parts) = at_height(height_m);
         let mut out: Vec<f32> = self.levels[0][VALUE].iter().map(|v| own as f32 * v).collect();
         let map_columns = grid.x().len();
