@@ -75,7 +75,7 @@ def learn_errors(
         raise TooFewSamplesError(
             f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {survey.labels}"
         )
-    steps = Steps(progress, folds + 4.0 + USUAL_TRIALS + 3.0)
+    steps = Steps(progress, folds + 4.0 + USUAL_TRIALS + 4.0)
     line_spacing = survey.spacing_m
     settings = Settings.of(line_spacing, spacing_m, half_width_m, tolerance_m, samples)
     axes = Axes.of(grid) if grid is not None else Axes.over(lines, spacing)
@@ -146,6 +146,7 @@ def settled(
     length_m = settings.spacing_m * (settings.samples - 1)
     lapses = fit_lapses(*trials.first_answers(point, correlation, line)), length_m
     forecast = trials.forecast(point, correlation, line)
+    misfit_threshold = trials.misfit_threshold(point, correlation, line)
     for_filters = learn_filter(
         trials.maps(share),
         [part.left for part in parts],
@@ -182,6 +183,7 @@ def settled(
         forecast=forecast,
         lapses=lapses,
         levels=levels[0] if levels else None,
+        misfit_threshold=misfit_threshold,
         risks=sorted(float(r) for r in recalibrated(best.risk[best.stated], line)),
         settings={
             "spacing_m": settings.spacing_m,

@@ -65,6 +65,7 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
         recalibration=model.recalibration,
         forecast=model.forecast,
         lapses=model.lapses,
+        misfit_threshold=model.misfit_threshold,
     )
 
 

@@ -51,7 +51,8 @@ class ErrorModel:
     (0: the lines are honoured). `filter` is what a navigator needs beside that, where the lines were enough to learn it.
     `share` is the sigma that windows ask for over that of single samples. `recalibration` (slope, intercept) is the line in
     log-odds from the computed risk to the declared one, `forecast` the factors on simulated errors and on the standard deviation foretold, None where
-    they were not learnt; `risks` are those declared for the windows left out, and `settings` what they were flown with.
+    they were not learnt. `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be refused: three in a hundred right fixes of
+    the windows left out gain as much. `risks` are those declared for the windows left out, and `settings` what they were flown with.
     `lapses` (share, length in metres) is how often shorter tracks are wrong whatever their risk says (see `GridMap.with_error_model`). `levels` says where the
     errors are larger or smaller than the formula's.
     `distance_m` is the distance to the data where it is one for the whole map (`learn_from_flights`), None where the lines say.
@@ -74,6 +75,7 @@ class ErrorModel:
     share: float | None = None
     recalibration: tuple[float, float] | None = None
     forecast: tuple[float, float] | None = None
+    misfit_threshold: float | None = None
     risks: list[float] = field(default_factory=list, repr=False)
     settings: dict[str, float] = field(default_factory=dict, repr=False)
     distance_m: float | None = None

@@ -46,6 +46,12 @@ FORECAST_LEVELS = (1.0, 2.0, 4.0, 8.0)
 FORECAST_WINDOWS = 200
 #: Risk at which the forecast counts a fix.
 FORECAST_RISK = 0.01
+#: Share of right fixes that the tests of misfit may refuse, the log evidence from which gains are looked at, the range of the threshold, and the
+#: fewest right fixes that it is learnt from.
+FALSE_ALARMS = 0.03
+LEAST_GAIN = 1.0
+MISFIT_RANGE = (4.0, 15.0)
+FEWEST_FIXES = 60
 
 
 @dataclass(frozen=True)
@@ -345,6 +351,37 @@ class Trials:
         order = np.argsort(shares)
         level = float(np.exp(np.interp(observed, np.array(shares)[order], logs[order])))
         return level, rms / float(np.sqrt(variance))
+
+    def misfit_threshold(self, point: Point, correlation: float, line: tuple[float, float]) -> float | None:
+        """Log evidence that an effect must gain so that a few percent of the right fixes are refused; None where these are too few to tell."""
+        gains = []
+        for (grid, distance), some, offsets in zip(self.maps(point.share), self._tracks, self._offsets, strict=True):
+            if not some:
+                continue
+            model = grid.with_error_model(
+                nu=NU,
+                scale_spread=LEARNT_SPREAD,
+                correlation=correlation,
+                registration=REGISTRATION,
+                distance_m=distance,
+                recalibration=line,
+            )
+            fixes = match_posterior_many(
+                model,
+                some,
+                half_width=self._half,
+                tolerance_m=self.settings.tolerance_m,
+                max_risk=FORECAST_RISK,
+                misfit_threshold=LEAST_GAIN,
+            )
+            for fix, offset in zip(fixes, offsets, strict=True):
+                error = np.hypot(*((np.array(fix.offset) - offset) * self._scale))
+                if (fix.ok or fix.misfit is not None) and error <= self.settings.tolerance_m:
+                    gains.append(0.0 if fix.misfit is None else fix.misfit[2])
+        self.steps.add(1.0)
+        if len(gains) < FEWEST_FIXES:
+            return None
+        return float(np.clip(np.quantile(gains, 1 - FALSE_ALARMS), *MISFIT_RANGE))
 
 
 def correlation_at(step: float) -> float:

@@ -61,21 +61,23 @@ impl pulp::WithSimd for Screen<'_, '_> {
         let scaled = |log: &Wide| std::array::from_fn(|l| log[l] * whole[l]);
         let with = |gain: &Wide| std::array::from_fn(|l| (told[l] + gain[l]) * whole[l]);
         let (told, effects) = (scaled(&told), gains.iter().map(with).collect());
-        let maps = if maps.is_empty() {
-            Vec::new()
-        } else {
+        // Loops, not closures, where the work is done: a closure of its own would not be compiled for the instruction set.
+        let mut of_maps = Vec::with_capacity(maps.len());
+        if !maps.is_empty() {
             let cells = Cells::new(offsets);
-            let spots: Vec<Spots> = setup.places.iter().map(|place| setup.patch.locate(*place, &cells)).collect();
-            let mut of_map = |map: &&[f32]| {
+            let mut spots = Vec::with_capacity(setup.places.len());
+            for place in setup.places {
+                spots.push(setup.patch.locate(*place, &cells));
+            }
+            for map in maps {
                 read_again(setup, map, &cells, &spots, scratch);
                 let mut theta = [[0.0; LANES]; MOST];
                 let log = seek(setup, scratch, level, &mut theta);
                 let whole = self::whole(setup, scratch);
-                std::array::from_fn(|l| log[l] * whole[l])
-            };
-            maps.iter().map(&mut of_map).collect()
-        };
-        Screened { told, effects, maps }
+                of_maps.push(std::array::from_fn(|l| log[l] * whole[l]));
+            }
+        }
+        Screened { told, effects, maps: of_maps }
     }
 }
 
@@ -237,19 +239,20 @@ fn gains(setup: &Setup<'_>, effects: &[&[Shape]], scratch: &Scratch, level: Leve
     let (told_far, far) = accumulate(setup, effects, scratch, tails, &at, WIDENING[0]);
     let known = told.pulls.len();
     let before = loss(setup, &[], scratch, tails, &at, known, &prior);
-    let one = |i: usize| {
-        let (near, _) = step(&told, &near[i], &prior, theta);
-        let (_, Solved { change, determinant }) = step(&told_far, &far[i], &prior, theta);
+    let mut out = Vec::with_capacity(effects.len());
+    for (effect, (near, far)) in effects.iter().zip(near.iter().zip(&far)) {
+        let (near, _) = step(&told, near, &prior, theta);
+        let (_, Solved { change, determinant }) = step(&told_far, far, &prior, theta);
         let mut there = at;
         for (there, change) in there.iter_mut().zip(&change) {
             for l in 0..LANES {
                 there[l] += change[l];
             }
         }
-        let after = loss(setup, effects[i], scratch, tails, &there, known, &prior);
-        std::array::from_fn(|l| near[l].max(before[l] - after[l] - determinant[l]))
-    };
-    (0..effects.len()).map(one).collect()
+        let after = loss(setup, effect, scratch, tails, &there, known, &prior);
+        out.push(std::array::from_fn(|l| near[l].max(before[l] - after[l] - determinant[l])));
+    }
+    out
 }
 
 /// Minus the log-likelihood at these parameters, without what does not depend on them.
