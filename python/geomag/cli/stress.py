@@ -28,6 +28,9 @@ def stress(
         float, typer.Option(callback=positive, help="Distance between samples, m (with a map).")
     ] = 200,
     flights: Annotated[int, typer.Option(min=1, help="Flights a row.")] = 200,
+    tell: Annotated[
+        bool, typer.Option(help="Tell every row its own effect: height_sigma_m or leg_bias_sigma (with a map).")
+    ] = False,
     short: Annotated[bool, typer.Option(help="A few rows only.")] = False,
     streaming: Annotated[bool, typer.Option(help="Sample by sample, up to the first fix (right maps).")] = False,
     variable: Annotated[str | None, typer.Option(help="Variable of a netCDF map.")] = None,
@@ -43,6 +46,7 @@ def stress(
             tolerance_m=tolerance_m,
             spacing_m=spacing_m,
             flights=flights,
+            tell=tell,
         )
     elif short:
         rows = right_maps(
@@ -50,7 +54,7 @@ def stress(
         )
     else:
         rows = right_maps(flights=flights, streaming=streaming)
-    text = table(rows)
+    text = table(rows, None if source is None else 0.01)
     if out is not None:
         out.write_text(text, encoding="utf-8")
     print(text, end="")
