@@ -55,7 +55,7 @@ impl pulp::WithSimd for Screen<'_, '_> {
         let level = setup.levels[level];
         fill::<false>(setup, offsets, &[level], scratch);
         let mut theta = [[0.0; LANES]; MOST];
-        let told = seek(setup, scratch, level, &mut theta);
+        let told = seek(setup, scratch, level, &WIDENING, &mut theta);
         let gains = if effects.is_empty() { Vec::new() } else { gains(setup, effects, scratch, level, &theta) };
         let whole = whole(setup, scratch);
         let scaled = |log: &Wide| std::array::from_fn(|l| log[l] * whole[l]);
@@ -71,8 +71,9 @@ impl pulp::WithSimd for Screen<'_, '_> {
             }
             for map in maps {
                 read_again(setup, map, &cells, &spots, scratch);
-                let mut theta = [[0.0; LANES]; MOST];
-                let log = seek(setup, scratch, level, &mut theta);
+                // Sought from where they were on the map as it is.
+                let mut theta = theta;
+                let log = seek(setup, scratch, level, &WIDENING[1..3], &mut theta);
                 let whole = self::whole(setup, scratch);
                 of_maps.push(std::array::from_fn(|l| log[l] * whole[l]));
             }
@@ -96,14 +97,13 @@ fn whole(setup: &Setup<'_>, scratch: &Scratch) -> Wide {
     count.map(|c| if f64::from(c) >= needed { n / f64::from(c) } else { f64::NAN })
 }
 
-/// The log-likelihood with the parameters told integrated out; `theta` becomes their most likely values.
+/// The log-likelihood with the parameters told integrated out; `theta` becomes their most likely values, sought from those given.
 #[inline(always)]
-fn seek(setup: &Setup<'_>, scratch: &mut Scratch, level: Level, theta: &mut [Wide; MOST]) -> Wide {
-    let turns = &WIDENING[1..3];
+fn seek(setup: &Setup<'_>, scratch: &mut Scratch, level: Level, turns: &[f32], theta: &mut [Wide; MOST]) -> Wide {
     let tails = Tails::of(&level);
     let mut lane = weigh::<false>(scratch, &level);
     if setup.shapes.is_empty() {
-        let mut bias = [0.0; LANES];
+        let mut bias = theta[0].map(|b| b as f32);
         one_bias::<false>(setup, scratch, tails, turns, &mut bias, &mut lane);
         theta[0] = bias.map(f64::from);
         return lane;

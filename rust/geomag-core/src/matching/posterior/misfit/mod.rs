@@ -30,8 +30,10 @@ const TEMPER: f64 = 0.4;
 const STEPS: f64 = 10.0;
 const STEP_CELLS: f64 = 2.0;
 const MOST_STEPS: f64 = 15.0;
-/// How far below the threshold, as a share of it, an effect's gain may lie on a lattice for a finer one to be worth a look.
-const HOPE: f64 = 1.0;
+/// What an effect may be short of at places where the answer would be wrong, on the lattices before the last.
+const SLACK: f64 = 1.0;
+/// Least of the greatest risks that is counted: nobody knows of untold effects what a lesser one would take.
+const LEAST_RISK: f64 = 1e-3;
 /// How far below the best place of a model, in the logarithm, others are looked at more closely.
 const DEPTH: f64 = 6.0;
 /// Step in units of that on which the answer was found from which none is finer.
@@ -39,6 +41,15 @@ const FINEST: f64 = 1.5;
 /// Most lattices one after another, and places that hold the evidence of one from which it needs no finer one: it resolves them.
 const STAGES: usize = 8;
 const RESOLVED: usize = 100;
+
+/// Log evidence from which an effect forbids a fix: what it gains over the whole search, and what it gains where the answer would be
+/// wrong, further from it than the tolerance. With prior odds exp(-gain) of the effect such a place is as probable as the greatest risk
+/// when the second is that much lower.
+#[derive(Debug, Clone, Copy)]
+struct Thresholds {
+    gain: f64,
+    away: f64,
+}
 
 /// One lattice, and the tempered log-likelihoods of its offsets: under the model as told, and with each of some effects.
 struct Stage {
@@ -49,13 +60,15 @@ struct Stage {
 }
 
 /// The effect that the readings ask for most clearly where a fix at `offset` would be declared on a lattice of step `finest` (map
-/// units); `None` where none gains more than the threshold.
+/// units); `None` where none gains more than the threshold, be it over the whole search or, by as much less as the greatest risk is below
+/// one, at places where the answer would be wrong.
 pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2], finest: [f64; 2]) -> Option<Misfit> {
     let of_map = problem.field.as_grid().and_then(|g| g.error_model()).and_then(|m| m.misfit_threshold);
     let threshold = problem.options.misfit_threshold.or(of_map).unwrap_or(THRESHOLD);
     if threshold == f64::INFINITY {
         return None;
     }
+    let threshold = Thresholds { gain: threshold, away: threshold + problem.options.max_risk.max(LEAST_RISK).ln() };
     let told: Vec<View<'_>> = problem.channels.iter().map(|c| View::new(problem, c, offset, finest)).collect();
     let alternatives = alternatives(problem, &told);
     let mut alive: Vec<&Alternative> = alternatives.iter().collect();
@@ -63,10 +76,14 @@ pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2], finest: [f64; 2
     let mut last = (0..2).all(|d| step[d] <= finest[d]);
     for stage in 1..=STAGES {
         let mut found = look(problem, &told, &alive, offsets, step);
-        let evidence = sum(&found.told);
-        // NaN where an effect says nothing.
-        let gains: Vec<f64> = found.with.iter().map(|with| sum(with) - evidence).collect();
-        let kept: Vec<usize> = (0..alive.len()).filter(|i| gains[*i] > threshold * (1.0 - HOPE)).collect();
+        let evidence = sum(found.told.iter().copied());
+        let elsewhere = found.beyond(problem, offset);
+        let hopeful = |i: &usize| {
+            let with = &found.with[*i];
+            // NaN where an effect says nothing.
+            sum(with.iter().copied()) > evidence || sum(of(with, &elsewhere)) - evidence > threshold.away - SLACK
+        };
+        let kept: Vec<usize> = (0..alive.len()).filter(hopeful).collect();
         if kept.is_empty() {
             return None;
         }
@@ -74,7 +91,7 @@ pub(super) fn asked_for(problem: &Problem<'_>, offset: [f64; 2], finest: [f64; 2
         found.with = kept.iter().map(|i| std::mem::take(&mut found.with[*i])).collect();
         let closer = found.holding();
         if last || stage == STAGES || closer.len() > RESOLVED {
-            return decide(problem, &told, &alive, &mut found, threshold);
+            return decide(problem, &told, &alive, &mut found, offset, threshold);
         }
         offsets = children(&closer, step);
         step = step.map(|s| 0.5 * s);
@@ -89,25 +106,43 @@ fn decide(
     told: &[View<'_>],
     alive: &[&Alternative],
     found: &mut Stage,
-    threshold: f64,
+    offset: [f64; 2],
+    threshold: Thresholds,
 ) -> Option<Misfit> {
-    let evidence = sum(&found.told);
+    let evidence = sum(found.told.iter().copied());
     for (i, effect) in alive.iter().enumerate() {
         if effect.height.is_none() {
-            found.with[i] = in_full(problem, told, effect, found, i)?;
+            let Some(with) = in_full(problem, told, effect, found, i) else { continue };
+            found.with[i] = with;
         }
     }
-    let gains: Vec<f64> = found.with.iter().map(|with| sum(with) - evidence).collect();
-    let best = (0..alive.len()).filter(|i| gains[*i] > threshold).max_by(|a, b| gains[*a].total_cmp(&gains[*b]))?;
+    let elsewhere = found.beyond(problem, offset);
+    let gains: Vec<f64> = found.with.iter().map(|with| sum(with.iter().copied()) - evidence).collect();
+    // Both on the scale of the gain's threshold.
+    let asks = |i: usize| {
+        let away = sum(of(&found.with[i], &elsewhere)) - evidence;
+        gains[i].max(away + threshold.gain - threshold.away)
+    };
+    let asked: Vec<f64> = (0..alive.len()).map(asks).collect();
+    let clear = (0..alive.len()).filter(|i| asked[*i] > threshold.gain);
+    let best = clear.max_by(|a, b| asked[*a].total_cmp(&asked[*b]))?;
     let at = found.offsets[top(&found.with[best])?];
     Some(Misfit {
         effect: alive[best].effect.into(),
         estimate: estimate(problem, &told[0], alive[best], at, found.step),
-        log_evidence: gains[best],
+        log_evidence: asked[best],
     })
 }
 
 impl Stage {
+    /// Which offsets lie, cell and all, beyond the tolerance from the answer.
+    fn beyond(&self, problem: &Problem<'_>, answer: [f64; 2]) -> Vec<bool> {
+        let metres = |d: usize, by: f64| by * problem.scale_m[d];
+        let radius = problem.tolerance_m + 0.5 * metres(0, self.step[0]).max(metres(1, self.step[1]));
+        let away = |o: &[f64; 2]| metres(0, o[0] - answer[0]).hypot(metres(1, o[1] - answer[1])) > radius;
+        self.offsets.iter().map(away).collect()
+    }
+
     /// The offsets that hold the evidence of any of the models.
     fn holding(&self) -> Vec<[f64; 2]> {
         let mut holds = vec![false; self.offsets.len()];
@@ -221,9 +256,13 @@ fn top(totals: &[f64]) -> Option<usize> {
     (0..totals.len()).filter(|i| totals[*i].is_finite()).max_by(|a, b| totals[*a].total_cmp(&totals[*b]))
 }
 
+/// Those of the log-likelihoods that are asked for.
+fn of<'a>(totals: &'a [f64], asked: &'a [bool]) -> impl Iterator<Item = f64> + Clone + 'a {
+    totals.iter().zip(asked).filter(|(_, asked)| **asked).map(|(total, _)| *total)
+}
+
 /// Logarithm of the sum of what these are the logarithms of; NaN where nothing is known.
-fn sum(totals: &[f64]) -> f64 {
-    let Some(top) = top(totals) else { return f64::NAN };
-    let terms = totals.iter().filter(|t| t.is_finite()).map(|t| (t - totals[top]).exp());
-    totals[top] + terms.sum::<f64>().ln()
+fn sum(totals: impl Iterator<Item = f64> + Clone) -> f64 {
+    let top = totals.clone().filter(|t| t.is_finite()).fold(f64::NAN, f64::max);
+    top + totals.filter(|t| t.is_finite()).map(|t| (t - top).exp()).sum::<f64>().ln()
 }
