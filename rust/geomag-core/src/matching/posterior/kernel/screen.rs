@@ -34,7 +34,7 @@ pub(in super::super) fn screen(
     level: usize,
     scratch: &mut Scratch,
 ) -> Screened {
-    pulp::Arch::new().dispatch(Screen { setup, effects, maps, offsets, level, scratch })
+    crate::instructions::chosen().dispatch(Screen { setup, effects, maps, offsets, level, scratch })
 }
 
 struct Screen<'a, 'b> {
