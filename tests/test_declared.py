@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import geomag
-from geomag.stress import _spline, right_maps
+from geomag.stress import StressRow, _spline, flights_with_effect, right_maps, table
 
 X = np.arange(0.0, 101_000.0, 1000.0)
 
@@ -119,3 +119,23 @@ def test_short_stress_table_holds() -> None:
         assert row.refused <= 2, row
         assert row.mean_square < 2 + 4 * 2 / np.sqrt(row.fixed), row
         assert row.beyond < 0.06, row
+
+
+def test_steps_that_nobody_told_leave_no_wrong_fix() -> None:
+    grid = geomag.GridMap(GRID.values, X, X, sigma=4.0)
+    options: dict[str, Any] = {"half_width_m": 5000, "tolerance_m": 300, "spacing_m": 400, "flights": 60}
+    none, *steps = flights_with_effect(grid, heights_m=[0.0], steps=[10.0, 40.0, 150.0], **options)
+    assert none.fixed > 40 and none.refused <= 2
+    for row in steps:
+        assert row.within(0.01), row
+    # Told, they are fixed again.
+    (told,) = flights_with_effect(grid, heights_m=[], steps=[40.0], tell=True, **options)
+    assert told.fixed > 0.5 * none.fixed and told.within(0.01), told
+
+
+def test_rows_are_held_against_a_share_of_wrong_fixes() -> None:
+    row = StressRow("as named", 100, 100, 3, 0, 0.1, 2.0, 0.01)
+    # Binomial: three or more of a hundred at one in a hundred, 8 %; four or more, 2 %.
+    assert row.within(0.01) and not StressRow("as named", 100, 100, 4, 0, 0.1, 2.0, 0.01).within(0.01)
+    assert StressRow("as named", 100, 0, 0, 0, 0.0, 2.0, 0.0).within(0.01)
+    assert "(!)" in table([row]) and "(!)" not in table([row], 0.01)

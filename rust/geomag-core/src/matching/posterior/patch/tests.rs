@@ -95,6 +95,9 @@ fn blocks_read_what_single_places_do() {
         lattice(16, 4, 0.5),
         lattice(5, 2, 0.01),
         lattice(16, 3, 1.7),
+        lattice(16, 7, 2.0),
+        lattice(14, 5, 3.0),
+        lattice(16, 4, 5.0),
         vec![[0.0; 2]],
     ];
     for patch in [patch(false), patch(true)] {
