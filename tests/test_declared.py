@@ -125,7 +125,8 @@ def test_steps_that_nobody_told_leave_no_wrong_fix() -> None:
     grid = geomag.GridMap(GRID.values, X, X, sigma=4.0)
     options: dict[str, Any] = {"half_width_m": 5000, "tolerance_m": 300, "spacing_m": 400, "flights": 60}
     none, *steps = flights_with_effect(grid, heights_m=[0.0], steps=[10.0, 40.0, 150.0], **options)
-    assert none.fixed > 40 and none.refused <= 2
+    assert none.fixed > 40
+    assert none.refused <= 2
     for row in steps:
         assert row.within(0.01), row
     # Told, they are fixed again.
@@ -136,6 +137,8 @@ def test_steps_that_nobody_told_leave_no_wrong_fix() -> None:
 def test_rows_are_held_against_a_share_of_wrong_fixes() -> None:
     row = StressRow("as named", 100, 100, 3, 0, 0.1, 2.0, 0.01)
     # Binomial: three or more of a hundred at one in a hundred, 8 %; four or more, 2 %.
-    assert row.within(0.01) and not StressRow("as named", 100, 100, 4, 0, 0.1, 2.0, 0.01).within(0.01)
+    assert row.within(0.01)
+    assert not StressRow("as named", 100, 100, 4, 0, 0.1, 2.0, 0.01).within(0.01)
     assert StressRow("as named", 100, 0, 0, 0, 0.0, 2.0, 0.0).within(0.01)
-    assert "(!)" in table([row]) and "(!)" not in table([row], 0.01)
+    assert "(!)" in table([row])
+    assert "(!)" not in table([row], 0.01)
