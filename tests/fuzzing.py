@@ -119,7 +119,8 @@ def strangers(
 def of_mgd77(data: bytes, base: np.ndarray) -> np.ndarray:
     """Numbers with the implied decimals of MGD77: what stands in its fields of hundred-thousandths and tenths."""
     found = list(base)
-    decoded_ = data.decode("utf-8", "replace") + "\n" + data.decode("cp1252", "replace")
+    plain = data.removeprefix(b"\xef\xbb\xbf")
+    decoded_ = plain.decode("utf-8", "replace") + "\n" + plain.decode("cp1252", "replace")
     for line in decoded_.split("\n"):
         for first, length, digits in (
             (27, 8, 5), (35, 9, 5), (60, 6, 1), (66, 6, 1), (72, 6, 1), (90, 7, 1), (103, 5, 1),

@@ -11,8 +11,8 @@ import typer
 
 from geomag.cli import app
 from geomag.cli._checks import direction, not_negative, output, picture, positive
-from geomag.cli._common import jsonable, percent, teller, three, with_told_errors
-from geomag.cli._route import along_route, read_route
+from geomag.cli._common import jsonable, teller, three, with_told_errors
+from geomag.cli._route import FLIGHTS, along_route, read_route
 from geomag.io import read_grid
 
 
@@ -177,11 +177,11 @@ def tell_route(rows: list[dict[str, float | None]], speed: float, out: Path | No
             typer.echo(f"{at}  off the known map")
         else:
             typer.echo(
-                f"{at}  a fix in {percent(row['fix_probability'])} of flights, {row['sigma_m']:.0f} m (one standard deviation)"
+                f"{at}  a fix in {100 * row['fix_probability']:.0f} % of {FLIGHTS} flights, {row['sigma_m']:.0f} m (one standard deviation)"
             )
     known = [row["fix_probability"] for row in rows if row["fix_probability"] is not None]
     typer.echo(
         f"{len(known)} of {len(rows)} windows on the map"
-        + (f", a fix in {percent(sum(known) / len(known))} of them" if known else "")
+        + (f", a fix in {100 * sum(known) / len(known):.0f} % of their flights" if known else "")
     )
     return 0
