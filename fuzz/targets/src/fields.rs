@@ -99,7 +99,9 @@ pub fn frame(data: &[u8]) {
         ];
         let point = frame.forward(place[0], place[1], place[2]);
         assert!(point.iter().all(|v| v.is_finite()), "{place:?} to {point:?}");
-        if place[0].abs() < 89.9 && origin[2].abs() < 1e5 {
+        let (whole, radius) =
+            (origin[2].abs() < 1e5, if let Earth::Sphere { radius_m } = earth { radius_m } else { 6e6 });
+        if place[0].abs() < 89.9 && whole && radius > 1e6 {
             let back = frame.inverse(point);
             let turn = (back[1] - place[1] + 180.0).rem_euclid(360.0) - 180.0;
             assert!((back[0] - place[0]).abs() < 1e-7 && turn.abs() < 1e-6, "{place:?} came back as {back:?}");

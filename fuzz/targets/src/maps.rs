@@ -192,7 +192,8 @@ pub fn map(data: &[u8]) {
         for method in [Interpolation::Bilinear, Interpolation::Bicubic] {
             let (value, gradient) = map.sample_and_gradient(x, y, method);
             assert!(!value.is_infinite() || low.abs().max(high.abs()) > 1e300, "{value} at {place:?}");
-            assert_eq!(value.is_nan(), gradient.iter().any(|g| g.is_nan()), "{value} {gradient:?} at {place:?}");
+            // Beside a hole there is a value on the edge, and no slope.
+            assert!(!value.is_nan() || gradient.iter().any(|g| g.is_nan()), "{value} {gradient:?} at {place:?}");
             assert_eq!(value.to_bits(), map.sample(x, y, method).to_bits());
             if method == Interpolation::Bilinear && value.is_finite() {
                 assert!(value >= low - slack && value <= high + slack, "{value} outside of [{low}, {high}]");

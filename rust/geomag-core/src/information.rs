@@ -69,6 +69,8 @@ pub struct Bound {
     pub samples: Vec<f32>,
 }
 
+/// Nodes from which a place is off any map: sums with it are whole numbers still.
+const FARTHEST: f64 = 1e15;
 /// Least share of a track that must be known.
 const LEAST_KNOWN: f64 = 0.8;
 
@@ -161,7 +163,8 @@ impl TrackInformation {
             let shifts: Vec<(i64, i64)> = (0..self.samples)
                 .map(|k| {
                     let back = k as f64 * self.spacing_m;
-                    (row as i64 - (back * cos / cell_north).round() as i64, -(back * sin / cell_east).round() as i64)
+                    let nodes = |metres: f64, cell: f64| (metres / cell).round().clamp(-FARTHEST, FARTHEST) as i64;
+                    (row as i64 - nodes(back * cos, cell_north), -nodes(back * sin, cell_east))
                 })
                 .collect();
             for column in 0..columns {

@@ -169,7 +169,8 @@ fn search_served(field: &dyn Field, track: &Track, search: &GridSearch, monitor:
     fix.scale = scale;
     fix.bias = fit.bias;
     fix.goodness = goodness;
-    fix.covariance_m2 = fit.covariance_m2;
+    // One that overflows is none.
+    fix.covariance_m2 = fit.covariance_m2.filter(|c| c.as_flattened().iter().all(|v| v.is_finite()));
     fix.score = search.criterion.natural(refined.on_lattice);
     fix.runner_up = runner_up.map_or(f64::NAN, |r| search.criterion.natural(r.score));
     fix.n_samples = fit.samples;

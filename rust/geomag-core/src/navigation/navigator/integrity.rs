@@ -16,6 +16,8 @@ const MOST_NIS: f64 = 100.0;
 /// surveys and on flights kept apart.
 const WIDENED_99: f64 = 1.4;
 const WIDENED_999: f64 = 2.5;
+/// Least risk: nothing is known of the tails beyond, nor are there numbers for them.
+const LEAST_RISK: f64 = 1e-15;
 /// Points of the table of radii, and directions of the integral behind each.
 const TABLE: usize = 65;
 const DIRECTIONS: usize = 96;
@@ -162,8 +164,8 @@ fn search(function: impl Fn(f64) -> f64, value: f64) -> f64 {
 /// # Errors
 /// [`Error::Invalid`] for a risk outside (0, 1).
 pub(super) fn widening(risk: f64) -> Result<f64> {
-    if !(risk > 0.0 && risk < 1.0) {
-        return Err(Error::invalid("integrity_risk", "a probability between 0 and 1", risk));
+    if !(risk >= LEAST_RISK && risk < 1.0) {
+        return Err(Error::invalid("integrity_risk", format!("a probability between {LEAST_RISK} and 1"), risk));
     }
     let gaussian = (risk.ln() / 0.01_f64.ln()).sqrt();
     let power = (WIDENED_999 / WIDENED_99).log10();
