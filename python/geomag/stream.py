@@ -143,7 +143,7 @@ def on_map(grid: GridMap, samples: Iterable[Sample]) -> Iterator[Sample]:
     >>> import geomag
     >>> from geomag.stream import on_map, read_csv
     >>> local = geomag.GridMap([[0.0, 1], [2, 3]], [0, 100.0], [0, 100.0])
-    >>> next(on_map(local, read_csv(["lon,lat,value", "16.2,46.9,12.5"])))
+    >>> next(on_map(local, read_csv(["lon,lat,value", "16.2,46.9,12.5"])))  # doctest: +IGNORE_EXCEPTION_DETAIL
     Traceback (most recent call last):
     ...
     geomag.InvalidInputError: track: needed positions in metres as the map's, got degrees, and the map has no CRS by which to turn them
