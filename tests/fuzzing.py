@@ -133,13 +133,11 @@ def of_mgd77(data: bytes, base: np.ndarray) -> np.ndarray:
 
 def of_gxf(data: bytes, base: np.ndarray) -> np.ndarray:
     """Numbers of a GXF grid: plain or in base 90, scaled by its transform."""
-    text = data.decode("utf-8", "replace")
+    text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
     if "#GRID" not in text.upper():
         return base
     number = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[edED][+-]?\d+)?)"
-    told = re.search(
-        rf"^#TRAN[^\n]*?\s[,\s]*{number}[,\s]+{number}", text.replace("\r", "\n"), re.IGNORECASE | re.MULTILINE
-    )
+    told = re.search(rf"^#TRAN[^\n]*?\s[,\s]*{number}[,\s]+{number}", text, re.IGNORECASE | re.MULTILINE)
     scale, zero = (
         (float(g.replace("d", "e")) if g else d for g, d in zip(told.groups(), (1.0, 0.0), strict=True))
         if told
