@@ -143,7 +143,7 @@ def of_gxf(data: bytes, base: np.ndarray) -> np.ndarray:
         if told
         else (1.0, 0.0)
     )
-    body = "".join(line.strip() for line in text.partition("#GRID")[2].split("\n")[1:])
+    body = "".join(line.strip() for line in re.split("#GRID", text, maxsplit=1, flags=re.IGNORECASE)[1].split("\n")[1:])
     coded = [
         sum((ord(c) - 37) * 90 ** (n - 1 - k) for k, c in enumerate(body[at : at + n]))
         for n in range(1, 5)
