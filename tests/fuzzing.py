@@ -133,19 +133,17 @@ def of_mgd77(data: bytes, base: np.ndarray) -> np.ndarray:
 
 def of_gxf(data: bytes, base: np.ndarray) -> np.ndarray:
     """Numbers of a GXF grid: plain or in base 90, scaled by its transform."""
-    text = data.decode("utf-8", "replace")
+    text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
     if "#GRID" not in text.upper():
         return base
     number = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[edED][+-]?\d+)?)"
-    told = re.search(
-        rf"^#TRAN[^\n]*?\s[,\s]*{number}[,\s]+{number}", text.replace("\r", "\n"), re.IGNORECASE | re.MULTILINE
-    )
+    told = re.search(rf"^#TRAN[^\n]*?\s[,\s]*{number}[,\s]+{number}", text, re.IGNORECASE | re.MULTILINE)
     scale, zero = (
         (float(g.replace("d", "e")) if g else d for g, d in zip(told.groups(), (1.0, 0.0), strict=True))
         if told
         else (1.0, 0.0)
     )
-    body = "".join(line.strip() for line in text.partition("#GRID")[2].split("\n")[1:])
+    body = "".join(line.strip() for line in re.split("#GRID", text, maxsplit=1, flags=re.IGNORECASE)[1].split("\n")[1:])
     coded = [
         sum((ord(c) - 37) * 90 ** (n - 1 - k) for k, c in enumerate(body[at : at + n]))
         for n in range(1, 5)

@@ -209,10 +209,9 @@ def test_gxf_says_and_is_checked(tmp_path):
     feet = gxf(tmp_path, '#UNIT_LENGTH\n"ft",0.3048\n#TRANSFORM\n0.5,100\n#DUMMY\n3\n')
     assert (feet.geographic, feet.holes, feet.x[0]) == (False, 1, pytest.approx(304.8))
     assert feet.sample(feet.x[1], feet.y[0]) == 100.5
-    assert gxf(
-        tmp_path,
-        "#MAP_PROJECTION\nWGS 84\nGeographic\n#YORIGIN\n20\n#RWSEPARATION\n1\n#PTSEPARATION\n1\n#XORIGIN\n10\n",
-    ).geographic
+    degrees = GXF.replace("1000", "10").replace("2000", "20").replace("100", "1").replace("50", "1")
+    (tmp_path / "map.gxf").write_text(degrees + "#MAP_PROJECTION\nWGS 84\nGeographic\n" + BODY)
+    assert geomag.read_grid(tmp_path / "map.gxf").geographic
     for header, body, words in (
         ("#ZMAXIMUM\n500\n", BODY, "#ZMAX"),
         ("", "#GRID\n1 2 3\n", "20 values"),

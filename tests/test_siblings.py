@@ -263,6 +263,8 @@ TEXTS = {
     "kilometres.gxf": (GXF.format("#UNIT_LENGTH\nkm,1000\n"), {}, [(1e6, 2e6, 1)]),
     "degrees.gxf": (GXF.format("#UNIT_LENGTH\ndega,0.0174532925199433\n").replace("000", "").replace("00", ""), {}, [(1, 2, 1)]),
     "turned.gxf": (GXF.format("#ROTATION\n90\n"), FLAT, "rotated by 90"),
+    "datum.gxf": (GXF.format('#MAP_PROJECTION\n"WGS 84"\n"WGS 84",6378137,0.0818191908,0\n"Geographic"\n#MAP_DATUM_TRANSFORM\n"WGS 84",0,0,0\n').replace("000", "").replace("00", ""), {}, [(1, 2, 1)]),
+    "twice.gxf": (GXF.format("#TRANSFORM\n2 10\n#TRANSFORM\n3 10\n"), FLAT, "TRAN' once"),
     "underscored.gxf": (GXF.format("").replace("10 11", "1_0 11"), FLAT, "numbers in the grid"),
     "plain.gdf": (GDF.format("") + "10 46 1\n11 46 2\n12 46 99999.0\n10 45 4\n11 45 5\n12 45 6\n", {}, [(10, 46, 1), (12, 45, 6), (12, 46, np.nan)]),
     "heights.gdf": (GDF.format("h_over_geoid ") + "10 46 9 1\n11 46 9 2\n12 46 9 3\n10 45 9 4\n11 45 9 5\n12 45 9 6\n", {}, [(10, 46, 1), (12, 45, 6)]),

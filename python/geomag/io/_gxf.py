@@ -22,6 +22,10 @@ _SENSES = {1: (0, 0, True), -1: (0, 0, False), 2: (0, 1, False), -2: (0, 1, True
            3: (1, 1, True), -3: (1, 1, False), 4: (1, 0, False), -4: (1, 0, True)}  # fmt: skip
 
 
+#: Keywords that say where and how large the numbers are: two of them say two things.
+_ONCE = {"POIN", "ROWS", "PTSE", "RWSE", "XORI", "YORI", "ROTA", "SENS", "GTYP", "DUMM", "TRAN", "UNIT", "MAP_"}
+
+
 def _sections(text: str) -> tuple[dict[str, list[str]], list[str]]:
     """What stands under each keyword (by its first four letters), and the lines of the grid."""
     found: dict[str, list[str]] = {}
@@ -34,6 +38,10 @@ def _sections(text: str) -> tuple[dict[str, list[str]], list[str]]:
             key = line[1:5].upper()
             if key == "GRID":
                 return found, lines[k + 1 :]
+            if key == "MAP_" and line[1:6].upper() != "MAP_P":
+                key = line[1:].split()[0].upper()  # `#MAP_DATUM_TRANSFORM` is no projection
+            if key in found and key in _ONCE:
+                raise ReadError(f"needed '#{key}' once in the header, got it twice (line {k + 1})")
             rest = line.split(None, 1)
             found[key] = [rest[1]] if len(rest) > 1 else []
         elif key is not None and line.strip():
