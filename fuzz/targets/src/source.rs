@@ -89,7 +89,7 @@ impl<'a> Source<'a> {
 
     /// A number, half of the time.
     pub fn maybe(&mut self, low: f64, high: f64) -> Option<f64> {
-        if self.byte() % 2 == 0 { None } else { Some(self.number(low, high)) }
+        if self.byte().is_multiple_of(2) { None } else { Some(self.number(low, high)) }
     }
 
     /// One of these.

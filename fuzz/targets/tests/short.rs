@@ -1,4 +1,5 @@
 //! The short form of the fuzzing: every seed that once found something, and some thousand random cases a target.
+#![allow(clippy::expect_used, clippy::doc_markdown)]
 
 use std::path::Path;
 

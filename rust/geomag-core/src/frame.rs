@@ -34,7 +34,7 @@ pub fn metres_per_degree(latitude_deg: f64) -> [f64; 2] {
 /// assert_eq!(geomag_core::frame::wrap_longitude(-179.0, 180.0), 181.0);
 /// assert_eq!(geomag_core::frame::wrap_longitude(20.0, 15.0), 20.0);
 /// ```
-#[inline(always)]
+#[inline]
 pub fn wrap_longitude(longitude_deg: f64, centre_deg: f64) -> f64 {
     let away = longitude_deg - centre_deg;
     if (-180.0..180.0).contains(&away) {

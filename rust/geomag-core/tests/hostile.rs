@@ -1,4 +1,5 @@
 //! What fuzzing found (fuzz/), a test a fault.
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::sync::Arc;
 

@@ -1,5 +1,8 @@
 //! Evenly spaced axes, and positions along them.
 
+// Only what is inlined into a dispatched function is compiled for its instruction set, and only what has no branch becomes vectors.
+#![allow(clippy::inline_always, clippy::needless_bitwise_bool)]
+
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::{LEAST_STEP, require_places};

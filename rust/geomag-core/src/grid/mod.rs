@@ -319,6 +319,7 @@ impl GridMap {
     }
 
     /// Position of a point in cells from the first node `[column, row]`, longitude wrapped.
+    #[allow(clippy::inline_always)] // as far as sample_many
     #[inline(always)]
     pub fn position(&self, x: f64, y: f64) -> [f64; 2] {
         [self.x.position(self.wrap_x(x)), self.y.position(y)]
@@ -403,6 +404,7 @@ impl Field for GridMap {
         }
     }
 
+    #[allow(clippy::inline_always)]
     #[inline(always)]
     fn wrap_x(&self, x: f64) -> f64 {
         if self.geographic { wrap_longitude(x, 0.5 * (self.x.first() + self.x.last())) } else { x }

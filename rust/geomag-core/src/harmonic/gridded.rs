@@ -96,7 +96,7 @@ fn along_east(packed: &Packed, east_m: &[f64], down_m: f64) -> Vec<f64> {
     }
     // As many columns as a tile has numbers fill three tiles.
     tiles.par_chunks_mut(3 * inner * TILE).zip(east_m.par_chunks(TILE)).for_each(|(tiles, east_m)| {
-        crate::instructions::chosen().dispatch(Columns { packed, levelled: &levelled, east_m, tiles })
+        crate::instructions::chosen().dispatch(Columns { packed, levelled: &levelled, east_m, tiles });
     });
     tiles
 }

@@ -164,7 +164,7 @@ fn search(function: impl Fn(f64) -> f64, value: f64) -> f64 {
 /// # Errors
 /// [`Error::Invalid`] for a risk outside (0, 1).
 pub(super) fn widening(risk: f64) -> Result<f64> {
-    if !(risk >= LEAST_RISK && risk < 1.0) {
+    if !(LEAST_RISK..1.0).contains(&risk) {
         return Err(Error::invalid("integrity_risk", format!("a probability between {LEAST_RISK} and 1"), risk));
     }
     let gaussian = (risk.ln() / 0.01_f64.ln()).sqrt();
