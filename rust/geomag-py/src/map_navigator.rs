@@ -9,6 +9,7 @@ use geomag_core::navigation::navigator::{
     Correction, Flight, FlightInput, Indicated, InsModel, MatcherPlan, Method, Navigator, NavigatorOptions,
     NavigatorStep, Smoothing, navigate, radii_m,
 };
+use geomag_core::stack::extent;
 use geomag_core::{ins_model, matcher_plan};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple};
@@ -19,6 +20,7 @@ use crate::fix::PyFix;
 use crate::grid::field;
 use crate::lock::Shared;
 use crate::long_call;
+use crate::stack::field_over;
 
 ins_model! { record_class {
     /// The grade of an INS: how large its errors are, and how they grow.
@@ -630,9 +632,9 @@ pub fn py_navigate<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyRes<Bound<'py, PyDict>> {
     let options = self::options(options)?;
-    let field = field(grid)?;
-    let geographic = field.geographic();
     let mut log = Log::new(time_s, x, y, velocity_m_s, heading_deg, height_m, readings)?;
+    let field = field_over(grid, [log.height_m.as_deref().and_then(extent)])?;
+    let geographic = field.geographic();
     log.terms = terms.map(|t| matrix("terms", t).map(|t| t.0)).transpose()?;
     let smoothing = match lag_s {
         None => Smoothing::No,
