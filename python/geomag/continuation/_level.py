@@ -179,7 +179,16 @@ def to_level(grid: GridMap, drape: Array) -> tuple[GridMap, float]:
         if left <= close or left > 0.98 * before:
             break
         at_low = at_low + miss
-    return rebuilt(grid, at_low, sigma, low), left
+    # On the surface errors are what the map says of them: further down they are as much larger.
+    length = error_length(grid)
+    k, share = error_law(length, 4.0 / cell)
+    above = np.linspace(0.0, high - low, 9)
+    spread_there = [spread_of_errors(np.exp(-k * up), k, share, length) for up in above]
+    up = np.clip(np.nan_to_num(drape - low), 0.0, high - low)
+    if sigma is not None:
+        sigma = sigma / np.sqrt(np.interp(up, above, [ratio for ratio, _ in spread_there]))
+    longer = float(np.interp(np.mean(up[known]), above, [grown for _, grown in spread_there]))
+    return rebuilt(grid, at_low, sigma, low, 1.0 / longer, 1.0 / longer**2), left
 
 
 def on_level(grid: GridMap, what: str) -> GridMap:
