@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import geomag
-from geomag import synthetic
+from geomag import survey, synthetic
 from geomag._geomag import _minimum_curvature
 from geomag.calibration import calibrate_lines, calibrate_simulated, suitability
 from geomag.survey import ErrorModel, Lines, learn_errors, map_from_lines

@@ -98,7 +98,7 @@ def test_component_channels_fix_without_noise_and_one_of_them_alone_is_never_a_w
     maps = tuple(geomag.GridMap(40 * w, axis, axis, sigma=own) for w in waves)
     x, y = np.linspace(2000, 2600, 12), np.linspace(2500, 2900, 12)
     read = np.column_stack([m.sample(x, y) for m in maps])
-    channels = vector.component_channels(maps, read, sensor)
+    channels = component_channels(maps, read, sensor)
     (first, values, sigma), *more = channels
     track = geomag.Track(x - 210, y + 160, values)
     fix = geomag.match_posterior(first, track, half_width=600, sigma=sigma, tolerance_m=60, more=more)

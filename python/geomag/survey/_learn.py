@@ -88,12 +88,11 @@ def learn_errors(
     def gridded(parted: list[tuple[list[Lines], list[Lines], list[Lines]]], smoothing: float) -> list[Fold]:
         weight = weight_of(lines, axes, smoothing, line_spacing)
         out = []
-        for kept, left, flown_over in parted:
-            if drape is not None:
-                kept, flown_over = drape.brought(kept, flown_over, weight)
-                left = flown_over if left else left
-            windows = windows_of(flown_over, step_m, WINDOW)
-            out.append(Fold.of(kept, left, windows, axes, method, line_spacing, weight, steps.within(1.0)))
+        for one, left, over in parted:
+            kept, seen = (one, over) if drape is None else drape.brought(one, over, weight)
+            windows = windows_of(seen, step_m, WINDOW)
+            missing = seen if left else []
+            out.append(Fold.of(kept, missing, windows, axes, method, line_spacing, weight, steps.within(1.0)))
             steps.add(1.0)
         return out
 

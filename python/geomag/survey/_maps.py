@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, overload
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
@@ -116,6 +116,24 @@ def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:
     return _carrying(grid, values, model.displacement * gradient * distance, distance, model)
 
 
+class _Options(TypedDict, total=False):
+    """Options of `map_from_lines` beside the height, which decides what is returned."""
+
+    spacing: float | tuple[float, float] | None
+    grid: GridMap | None
+    method: str
+    smoothing_m: float | None
+    max_distance_m: float | None
+    model: ErrorModel | None
+    spacing_m: float | None
+    half_width_m: float | None
+    tolerance_m: float | None
+    samples: int
+    folds: int | None
+    seed: int
+    progress: Progress
+
+
 def _require_heights(height_m: object) -> None:
     try:
         heights = np.asarray(height_m, dtype=float)
@@ -126,11 +144,11 @@ def _require_heights(height_m: object) -> None:
 
 
 @overload
-def map_from_lines(lines: Lines, *, height_m: None = None, **options: Any) -> GridMap: ...
+def map_from_lines(lines: Lines, *, height_m: None = None, **options: Unpack[_Options]) -> GridMap: ...
 @overload
-def map_from_lines(lines: Lines, *, height_m: float, **options: Any) -> GridMap: ...
+def map_from_lines(lines: Lines, *, height_m: float, **options: Unpack[_Options]) -> GridMap: ...
 @overload
-def map_from_lines(lines: Lines, *, height_m: Sequence[float] | Array, **options: Any) -> MapStack: ...
+def map_from_lines(lines: Lines, *, height_m: Sequence[float] | Array, **options: Unpack[_Options]) -> MapStack: ...
 def map_from_lines(
     lines: Lines,
     *,
