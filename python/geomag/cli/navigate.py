@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ import numpy.typing as npt
 import typer
 
 from geomag._errors import InvalidInputError, MissingFileError
-from geomag._geomag import GridMap, InsModel, Navigator, Track
+from geomag._geomag import GridMap, InsModel, Navigator
 from geomag._navigation import Navigation
 from geomag._navigation import navigate as navigate_log
 from geomag.cli import NO_FIX, _raw, app
@@ -22,7 +23,7 @@ from geomag.cli._checks import not_negative, output, picture, positive, share
 from geomag.cli._common import jsonable, telling, with_told_errors
 from geomag.flight_log import FlightLog, LogRow, read_flight_log, read_rows
 from geomag.io import read_grid
-from geomag.projection import align
+from geomag.projection import AlignedWarning
 
 Array = npt.NDArray[np.float64]
 
@@ -266,8 +267,29 @@ def _on_map(row: LogRow, grid: GridMap) -> LogRow:
     """A row in the map's coordinates."""
     if row.geographic is None or row.geographic == grid.geographic:
         return row
-    there = align(grid, Track([row.x], [row.y], [0.0], geographic=row.geographic), quiet=True)
-    return replace(row, x=float(there.x[0]), y=float(there.y[0]), geographic=grid.geographic)
+    one = np.array([0.0])
+    log = FlightLog(
+        one,
+        np.array([row.x]),
+        np.array([row.y]),
+        one,
+        None if row.velocity_m_s is None else np.array([row.velocity_m_s]),
+        None if row.heading_deg is None else np.array([row.heading_deg]),
+        geographic=row.geographic,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AlignedWarning)
+        there = log.on_map(grid)
+    return replace(
+        row,
+        x=float(there.x[0]),
+        y=float(there.y[0]),
+        velocity_m_s=None
+        if there.velocity_m_s is None
+        else (float(there.velocity_m_s[0, 0]), float(there.velocity_m_s[0, 1])),
+        heading_deg=None if there.heading_deg is None else float(there.heading_deg[0]),
+        geographic=grid.geographic,
+    )
 
 
 def answer(navigator: Navigator, row: LogRow) -> str:

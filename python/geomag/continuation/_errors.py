@@ -115,7 +115,14 @@ def rebuilt(
     if isinstance(sigma, np.ndarray):
         sigma = np.where(np.isfinite(values), sigma, np.nan)
     out = GridMap(
-        values.astype(kept), grid.x, grid.y, geographic=grid.geographic, sigma=sigma, height_m=height_m, **words
+        values.astype(kept),
+        grid.x,
+        grid.y,
+        geographic=grid.geographic,
+        sigma=sigma,
+        height_m=height_m,
+        line_spacing_m=grid.line_spacing_m,
+        **words,
     )
     if grid.ground_scale is not None:
         out = out.with_ground_scale(grid.ground_scale)

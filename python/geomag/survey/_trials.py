@@ -304,7 +304,6 @@ def layered(
         grid.y,
         geographic=grid.geographic,
         sigma=np.where(known, sigma, np.nan),
-        height_m=grid.height_m,
         name=grid.name,
         units=grid.units,
         crs=grid.crs,
@@ -312,6 +311,4 @@ def layered(
         ground_scale=grid.ground_scale,
         line_spacing_m=grid.line_spacing_m if line_spacing_m is None else line_spacing_m,
     )
-    if grid.ground_scale is not None:
-        out = out.with_ground_scale(grid.ground_scale)
     return out, np.where(known, distance, np.nan)
