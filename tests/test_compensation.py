@@ -274,3 +274,34 @@ def test_what_cannot_be_fitted_is_refused(change, message):
     first = [arguments.pop(k) for k in ("time_s", "reading_nt", "field_nt")]
     with pytest.raises(geomag.GeomagError, match=message):
         compensation.fit(*first, **arguments)
+
+
+def test_a_map_tells_the_crust_in_one_argument_at_the_heights_of_the_flight():
+    rng = np.random.default_rng(4)
+    waves = [(rng.normal(0, 25), 2 * np.pi / s, *rng.uniform(0, 2 * np.pi, 2)) for s in np.geomspace(400, 4000, 40)]
+
+    def field(x, y, height):
+        return sum(a * np.exp(-k * height) * np.cos(k * (np.cos(d) * x + np.sin(d) * y) + p) for a, k, d, p in waves)
+
+    axis = np.arange(0.0, 12_000.0, 40.0)
+    # The map is wrong by 2 nT from node to node, and lies 60 m under the flight.
+    values = field(axis, axis[:, None], 0.0) + rng.normal(0, 2, (axis.size, axis.size))
+    grid = geomag.GridMap(values, axis, axis, sigma=2.0, height_m=80.0)
+    box = synthetic.calibration_box(85.0, seed=2, crust=lambda x, y: field(x, y, 60.0), start_m=(2000.0, 2000.0))
+    left = []
+    for crust in (None, (grid, box.x_m, box.y_m, 140.0), (grid.continue_to(140.0), box.x_m, box.y_m)):
+        found = compensation.fit(box.time_s, box.reading_nt, box.field_nt, crust=crust)
+        left.append(np.std(found.interference(box.time_s, box.field_nt) - box.interference_nt))
+    assert left[1] < 0.02 * np.std(box.interference_nt)
+    assert left[1] < 0.3 * left[0]
+    assert left[2] == pytest.approx(left[1], rel=0.3)
+    # What lies off the map is left out, not made up.
+    part = geomag.GridMap(values[:, :200], axis[:200], axis, sigma=2.0)
+    fewer = compensation.fit(box.time_s, box.reading_nt, box.field_nt, crust=(part, box.x_m, box.y_m))
+    assert fewer.samples < found.samples
+    with pytest.raises(geomag.ShapeError, match="crust x"):
+        compensation.fit(box.time_s, box.reading_nt, box.field_nt, crust=(grid, box.x_m[:-1], box.y_m))
+    with pytest.raises(geomag.InvalidInputError, match="no heights"):
+        compensation.fit(
+            box.time_s, box.reading_nt, box.field_nt, crust=(grid.continue_to([80.0, 140.0]), box.x_m, box.y_m)
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 
 import numpy as np
@@ -93,7 +94,71 @@ def test_the_default_errs_less_than_half_a_nanotesla_where_the_map_is_known_five
     cut = geomag.GridMap(map_data["map"][part], x[part[1]], y[part[0]], sigma=0.0, height_m=305.0).continue_to(405.0)
     error = np.asarray(cut.values) - np.asarray(whole.values)[part]
     assert np.abs(error[5:-5, 6:-6]).max() < 0.5
-    assert np.sqrt(np.mean((error / np.asarray(cut.sigma)) ** 2)) < 1.5
+    # Nearer to the edges it is 1.8, 0.6 and 0.4 nT rms on the first three nodes, of a field of 235; sigma has it.
+    assert [np.sqrt(np.mean(ring(error, k) ** 2)) < limit for k, limit in enumerate((2.0, 0.8, 0.5))] == [True] * 3
+    sigma = np.asarray(geomag.GridMap(map_data["map"][part], x[part[1]], y[part[0]], sigma=0.0, height_m=305.0)
+                       .continue_to(405.0, about="value").sigma)  # fmt: skip
+    for k in range(12):
+        assert 0.2 < np.sqrt(np.mean((ring(error, k) / ring(sigma, k)) ** 2)) < 1.2
+
+
+def ring(a, k):
+    """Nodes k cells inside the edge."""
+    inner = a[k : a.shape[0] - k, k : a.shape[1] - k]
+    return np.concatenate([inner[0], inner[-1], inner[1:-1, 0], inner[1:-1, -1]])
+
+
+@pytest.mark.parametrize(
+    ("path", "up_m", "track_m", "cut"),
+    [
+        ("osborne-aeromag/osborne_grid_from_shared_lines.nc", 300.0, 8000.0, np.s_[300:660, 150:510]),
+        ("britain-aeromag/britain_grid_from_shared_lines.nc", 2000.0, 40_000.0, np.s_[180:300, 560:720]),
+    ],
+)
+def test_what_edges_do_to_a_track_is_in_sigma_and_what_they_do_to_a_value_if_asked(data_file, path, up_m, track_m, cut):
+    grid = geomag.read_grid(data_file(path))
+    values = np.asarray(grid.values, dtype=float)
+    cell = grid.spacing_m
+    x, y = np.arange(values.shape[1]) * cell[0], np.arange(values.shape[0]) * cell[1]
+    whole = np.asarray(
+        geomag.GridMap(values, x, y, sigma=0.0, height_m=0.0).continue_to(up_m, edges="mirrored").values
+    )[cut]
+    part = geomag.GridMap(values[cut], x[cut[1]], y[cut[0]], sigma=0.0, height_m=0.0)
+    assert part.holes < 0.01 * part.values.size
+    up, of_value = part.continue_to(up_m), part.continue_to(up_m, about="value")
+    error, sigma = np.asarray(up.values) - whole, np.asarray(up.sigma)
+    along = int(track_m / cell[0])
+    ratios = []
+    for row in range(0, error.shape[0], 5):
+        for first in range(0, error.shape[1] - along + 1, along):
+            e, s = error[row, first : first + along], sigma[row, first : first + along]
+            known = np.isfinite(e)
+            e, weight = e[known], s[known] ** -2
+            # A matcher finds the level.
+            ratios.append(np.mean((e - np.average(e, weights=weight)) ** 2 * weight))
+    assert 0.4 < np.sqrt(np.mean(ratios)) < 1.5
+    total = (error / np.asarray(of_value.sigma)).ravel()
+    assert np.sqrt(np.nanmean(total**2)) < 2.0
+    assert np.nanmin(np.asarray(of_value.sigma) - sigma) >= 0
+
+
+def test_levels_keep_the_slopes_of_a_map_that_is_not_sure_of_its_values():
+    axis = np.arange(0.0, 40_000.0, 250.0)
+    rng = np.random.default_rng(2)
+    waves = [(rng.normal(0, 9), 2 * np.pi / s, *rng.uniform(0, 2 * np.pi, 2)) for s in np.geomspace(1500, 9000, 25)]
+
+    def field(height):
+        return sum(
+            a * np.exp(-k * height) * np.cos(k * (np.cos(d) * axis + np.sin(d) * axis[:, None]) + p)
+            for a, k, d, p in waves
+        )
+
+    heights = continuation.levels(geomag.GridMap(field(0.0), axis, axis, sigma=20.0, height_m=0.0), 0.0, 1500.0)
+    for low, high in itertools.pairwise(heights):
+        half_way = field(0.5 * (low + high))
+        miss = 0.5 * (field(low) + field(high)) - half_way
+        assert np.std(np.gradient(miss)) < 0.07 * np.std(np.gradient(half_way))
+    assert heights.size <= 12
 
 
 def magnav(data_file):
@@ -129,8 +194,10 @@ def test_sigma_upward_is_what_the_errors_become(up_m):
         up = grid.continue_to(up_m)
         inner = np.s_[40:-40, 40:-40]
         ratio.append(np.mean((np.asarray(up.values)[inner] / np.asarray(up.sigma)[inner]) ** 2))
-        assert up.error_model["correlation"] > 3.5
-        assert up.error_model["nu"] == 5.0
+        longer = up.error_model["correlation"] / 3.5
+        assert longer > 1.0
+        # So many as were apart go into one mean; an edge far away has hardly a part in it.
+        assert 5.0 * longer < up.error_model["nu"] <= 5.0 * (longer**2 + 1)
     assert 0.75 < np.mean(ratio) < 1.3
 
 

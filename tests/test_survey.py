@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import geomag
-from geomag import synthetic
+from geomag import survey, synthetic
 from geomag._geomag import _minimum_curvature
 from geomag.calibration import calibrate_lines, calibrate_simulated, suitability
 from geomag.survey import ErrorModel, Lines, learn_errors, map_from_lines
@@ -161,3 +161,50 @@ def test_a_look_ahead_of_nonsense_is_refused():
         options = {"spacing_m": 100.0, "half_width_m": 500.0, name: value}
         with pytest.raises(geomag.InvalidInputError, match=f"{name}: needed"):
             suitability(grid, **options)
+
+
+def test_lines_at_their_own_heights_make_a_map_at_a_level_and_a_stack():
+    rng = np.random.default_rng(3)
+    waves = [(rng.normal(0, 14), 2 * np.pi / s, *rng.uniform(0, 2 * np.pi, 2)) for s in np.geomspace(1200, 9000, 40)]
+
+    def field(x, y, h):
+        return sum(a * np.exp(-k * h) * np.cos(k * (np.cos(d) * x + np.sin(d) * y) + p) for a, k, d, p in waves)
+
+    along, across = np.arange(0.0, 8000.0, 50.0), np.arange(0.0, 8000.0, 250.0)
+    x, y = (a.ravel() for a in np.meshgrid(along, across))
+    line = np.repeat(np.arange(across.size), along.size)
+    height = 120 + 40 * np.sin(x / 4000) * np.cos(y / 5000) + rng.normal(0, 20, across.size)[line]
+    lines = survey.Lines(x, y, field(x, y, height), line, height_m=height, unit="nT")
+    model = survey.ErrorModel(
+        noise=0.1, floor=0.1, displacement=0.02, curvature=0.1, correlation=1.3, registration=0.05,
+        line_spacing_m=250.0, windows=0, loss=0.0,
+    )  # fmt: skip
+    level = survey.map_from_lines(lines, height_m=200.0, model=model)
+    assert level.height_m == 200.0
+    assert level.units == "nT"
+    truth = field(level.x, level.y[:, None], 200.0)
+    inner = np.s_[40:-40, 40:-40]
+    error = np.sqrt(np.nanmean((np.asarray(level.values) - truth)[inner] ** 2))
+    # Heights passed over, and the map said to be at their mean.
+    flat = survey.map_from_lines(survey.Lines(x, y, lines.values, line), model=model)
+    flat = geomag.GridMap(flat.values, flat.x, flat.y, sigma=flat.sigma, height_m=120.0).continue_to(200.0)
+    passed_over = np.sqrt(np.nanmean((np.asarray(flat.values) - truth)[inner] ** 2))
+    assert error < 0.3 * passed_over
+    stack = survey.map_from_lines(lines, height_m=[200.0, 300.0], model=model)
+    assert stack.heights_m.tolist() == [200.0, 300.0]
+    assert np.array_equal(stack.levels[0].values, level.values, equal_nan=True)
+
+
+def test_a_map_at_a_height_needs_lines_that_say_theirs():
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.0, 4000.0, 50.0), np.arange(0.0, 4000.0, 250.0)))
+    line = np.repeat(np.arange(16), 80)
+    bare = survey.Lines(x, y, np.sin(x / 300), line)
+    with pytest.raises(geomag.InvalidInputError, match="lines with heights"):
+        survey.map_from_lines(bare, height_m=200.0)
+    high = survey.Lines(x, y, np.sin(x / 300), line, height_m=100.0)
+    for bad in (np.nan, [], "up"):
+        with pytest.raises(geomag.InvalidInputError, match="height_m"):
+            survey.map_from_lines(high, height_m=bad)
+    grid = geomag.GridMap(np.zeros((4, 4)), [0.0, 1, 2, 3], [0.0, 1, 2, 3])
+    with pytest.raises(geomag.InvalidInputError, match="got a grid"):
+        survey.map_from_lines(high, height_m=200.0, grid=grid)

@@ -87,3 +87,26 @@ def test_what_does_not_fit_is_refused():
         invariants(np.ones((2, 3)), [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     with pytest.raises(geomag.ShapeError):
         in_ned(np.ones((2, 3)), heading_deg=[1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("sensor", [0.0, 0.01, 1.0, None])
+@pytest.mark.parametrize("own", [0.0, 1.0, None])
+def test_component_channels_fix_without_noise_and_one_of_them_alone_is_never_a_wrong_fix(own, sensor):
+    axis = np.arange(0.0, 6000.0, 60.0)
+    east, north = np.meshgrid(axis, axis)
+    waves = (np.sin(east / 400), np.cos(north / 300), np.sin((east + north) / 500))
+    maps = tuple(geomag.GridMap(40 * w, axis, axis, sigma=own) for w in waves)
+    x, y = np.linspace(2000, 2600, 12), np.linspace(2500, 2900, 12)
+    read = np.column_stack([m.sample(x, y) for m in maps])
+    channels = component_channels(maps, read, sensor)
+    (first, values, sigma), *more = channels
+    track = geomag.Track(x - 210, y + 160, values)
+    fix = geomag.match_posterior(first, track, half_width=600, sigma=sigma, tolerance_m=60, more=more)
+    assert fix.status == "fixed"
+    assert np.hypot(fix.offset_m[0] - 210, fix.offset_m[1] + 160) < 10
+    # One wave says nothing along its crests, however exactly it is read.
+    for grid, seen, sigma in channels:
+        alone = geomag.match_posterior(
+            grid, geomag.Track(x - 210, y + 160, seen), half_width=600, sigma=sigma, tolerance_m=60
+        )
+        assert not alone.ok, alone

@@ -469,11 +469,12 @@ def match_contour(
 class SlidingContour:
     def __new__(
         cls,
-        grid: GridMap,
+        grid: GridMap | MapStack,
         *,
         length: int,
         sigma: float | None = None,
         floor_m: float = 10.0,
+        height_m: float | None = None,
         transform: _Transform = "rigid",
         radius_m: float | None = None,
         starts: Literal["indicated", "grid"] | ArrayLike = "indicated",
@@ -499,7 +500,7 @@ class SlidingContour:
         keep_starts: int = 12,
         max_candidates: int = 1000000,
     ) -> SlidingContour: ...
-    def update(self, x: float, y: float, value: float) -> Fix: ...
+    def update(self, x: float, y: float, value: float, height_m: float | None = None) -> Fix: ...
     def reset(self) -> None: ...
     def run(self, track: Track) -> list[Fix]: ...
     @property
@@ -722,7 +723,7 @@ class NavigationStep:
 
 @final
 class Navigator:
-    def __new__(cls, grid: GridMap | HarmonicMap, **options: Unpack[_NavigatorOptions]) -> Navigator: ...
+    def __new__(cls, grid: GridMap | MapStack | HarmonicMap, **options: Unpack[_NavigatorOptions]) -> Navigator: ...
     def step(
         self,
         time_s: float,
@@ -1122,7 +1123,7 @@ class ExtendedKalmanFilter:
 class FieldSensor:
     def __new__(
         cls,
-        source: RectangularHarmonicModel | GridMap | HarmonicMap,
+        source: RectangularHarmonicModel | GridMap | MapStack | HarmonicMap,
         *,
         reading: _Reading | None = None,
         main_field: ArrayLike | None = None,
@@ -1165,7 +1166,7 @@ class NavigatorStep:
 class FieldNavigator:
     def __new__(
         cls,
-        model: RectangularHarmonicModel | GridMap | HarmonicMap | FieldSensor,
+        model: RectangularHarmonicModel | GridMap | MapStack | HarmonicMap | FieldSensor,
         *,
         start: Sequence[float] | _Floats,
         covariance_m2: ArrayLike,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, Unpack
 import numpy as np
 
 from geomag._errors import InvalidInputError, ShapeError
-from geomag._geomag import GridMap, HarmonicMap, _displacements_m, _navigate, _radii_m
+from geomag._geomag import GridMap, HarmonicMap, MapStack, _displacements_m, _navigate, _radii_m
 from geomag._optional import require
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from geomag._geomag import _NavigatorOptions
+    from geomag.flight_log import FlightLog
 
 Progress = bool | Callable[[int, int], object] | None
 
@@ -186,7 +187,7 @@ class Navigation:
 
 
 def navigate(
-    grid: GridMap | HarmonicMap,
+    grid: GridMap | MapStack | HarmonicMap,
     time_s: ArrayLike,
     x: ArrayLike,
     y: ArrayLike,
@@ -195,6 +196,7 @@ def navigate(
     heading_deg: ArrayLike | None = None,
     readings: ArrayLike | None = None,
     height_m: ArrayLike | None = None,
+    geographic: bool | None = None,
     terms: ArrayLike | None = None,
     smooth: float | Literal["flight"] | None = None,
     progress: Progress = None,
@@ -207,7 +209,7 @@ def navigate(
 
     Parameters
     ----------
-    grid : GridMap or HarmonicMap
+    grid : GridMap, MapStack or HarmonicMap
         The map; its sigma and error model (see `geomag.survey`) are what the covariance rests on.
     time_s : array (n,)
         Seconds, not running backwards.
@@ -220,7 +222,10 @@ def navigate(
     readings : array (n,), optional
         Measured values, map's unit, NaN where there is none; the INS alone without it.
     height_m : float or array (n,), optional
-        Metres above the map's height datum, for maps that are known at several heights.
+        Metres above the map's height datum. A map at another height is continued to them; one without a height is refused.
+    geographic : bool, optional
+        Whether `x`, `y` are degrees, where they are not as the map's: places, velocities and headings are brought to the map by its
+        CRS, and an `AlignedWarning` says so. The answer is in map units.
     terms : array (n, m), optional
         What the coefficients of the vehicle's own field are multiplied by, a row a step (`geomag.compensation`); with `terms_covariance` (m, m) they are states
         of the filter.
@@ -260,6 +265,10 @@ def navigate(
     """
     if isinstance(smooth, str) and smooth != "flight":
         raise InvalidInputError(f"smooth: needed seconds or 'flight', got {smooth!r}")
+    if geographic is not None and geographic != grid.geographic:
+        flown = _aligned(grid, time_s, x, y, velocity_m_s, heading_deg, geographic)
+        options = {"latitude_deg": float(np.mean(np.asarray(y, dtype=float))), **options} if geographic else options
+        x, y, velocity_m_s, heading_deg = flown.x, flown.y, flown.velocity_m_s, flown.heading_deg
     log = {
         "time_s": time_s, "x": x, "y": y, "velocity_m_s": velocity_m_s, "heading_deg": heading_deg, "readings": readings,
         "height_m": height_m, "terms": terms,
@@ -269,3 +278,33 @@ def navigate(
         columns[name] = np.array(columns[name])
     columns["resets"] = columns["resets"].astype(np.int64)
     return Navigation(time_s=np.array(time_s, dtype=float).reshape(-1), **columns)
+
+
+def _aligned(
+    grid: GridMap | MapStack | HarmonicMap,
+    time_s: ArrayLike,
+    x: ArrayLike,
+    y: ArrayLike,
+    velocity_m_s: ArrayLike | None,
+    heading_deg: ArrayLike | None,
+    geographic: bool,
+) -> FlightLog:
+    """A log in the map's coordinates."""
+    from geomag.flight_log import FlightLog
+
+    if isinstance(grid, MapStack):
+        grid = grid.levels[0]
+    if not isinstance(grid, GridMap):
+        raise InvalidInputError("geographic: needed a map with a CRS, got a harmonic model, which has none")
+    time, px, py = (np.asarray(v, dtype=float).reshape(-1) for v in (time_s, x, y))
+    velocity, heading = (None if v is None else np.asarray(v, dtype=float) for v in (velocity_m_s, heading_deg))
+    for name, value, shape in (
+        ("x", px, time.shape),
+        ("y", py, time.shape),
+        ("velocity_m_s", velocity, (time.size, 2)),
+        ("heading_deg", heading, time.shape),
+    ):
+        if value is not None and value.shape != shape:
+            raise ShapeError(f"{name}: needed shape {shape} as time_s, got {value.shape}")
+    log = FlightLog(time, px, py, np.zeros(time.size), velocity, heading, geographic=geographic)
+    return log.on_map(grid)

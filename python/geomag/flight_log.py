@@ -12,6 +12,7 @@ Columns and the names that are known:
 - velocity, m/s: velocity_east_m_s, ve, v_east, ins_ve and velocity_north_m_s, vn, v_north, ins_vn
 - heading, degrees: heading_deg, heading, yaw_deg, yaw, ins_yaw
 - truth: true_x, true_longitude, true_lon and true_y, true_latitude, true_lat
+- height, metres: only the one that is asked for, as files rarely say above what
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from geomag._errors import InvalidInputError, UnknownVariableError
 from geomag._geomag import GridMap, Track
 from geomag.io._names import asked_column, understand
 from geomag.io._tables import load_table
-from geomag.io._tracks import points_of, times_of
+from geomag.io._tracks import dates_of, points_of, times_of
+from geomag.io._units import metres_in
 
 Array = npt.NDArray[np.float64]
 
@@ -44,6 +46,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "heading": ("heading_deg", "heading", "yaw_deg", "yaw", "ins_yaw"),
     "true_x": ("true_x", "true_longitude", "true_lon"),
     "true_y": ("true_y", "true_latitude", "true_lat"),
+    "height": (),
 }
 NEEDED = ("time_s", "x", "y", "value")
 
@@ -64,7 +67,10 @@ class LogRow:
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A whole log: shapes (n,), `velocity_m_s` (n, 2) east-north, `truth` (n, 2) map units; None for what the log does not have."""
+    """A whole log: shapes (n,), `velocity_m_s` (n, 2) east-north, `truth` (n, 2) map units; None for what the log does not have.
+
+    `geographic` says whether places are degrees, where the log says so; `date` has the dates in UTC, where they were asked for.
+    """
 
     time_s: Array
     x: Array
@@ -74,24 +80,53 @@ class FlightLog:
     heading_deg: Array | None = None
     truth: Array | None = None
     geographic: bool | None = None
+    height_m: Array | None = None
+    date: npt.NDArray[np.datetime64] | None = None
 
     def on_map(self, grid: GridMap) -> FlightLog:
-        """The log in the coordinates of a map; what says nothing of its own (`geographic` is None) is taken to be as the map is.
+        """The log in the coordinates of a map: positions by its system, velocities and headings to grid north.
+
+        What says nothing of its own (`geographic` is None) is taken to be as the map is. An `AlignedWarning` says what was done.
 
         Raises `InvalidInputError` for degrees on a map in metres without a system, and for metres on a map in degrees.
+
+        Examples
+        --------
+        >>> import numpy as np, geomag, warnings
+        >>> from geomag.flight_log import FlightLog
+        >>> grid = geomag.GridMap([[0.0, 1], [2, 3]], [5e5, 5.1e5], [4.98e6, 4.99e6], crs="EPSG:32632")
+        >>> log = FlightLog(np.array([0.0]), np.array([11.0]), np.array([45.0]), np.array([30.0]), heading_deg=np.array([90.0]), geographic=True)
+        >>> with warnings.catch_warnings():
+        ...     warnings.simplefilter("ignore")
+        ...     turned = log.on_map(grid)
+        >>> turned.x.round(), turned.heading_deg.round(2)      # east of the meridian grid north lies to the east of true north
+        (array([657630.]), array([88.59]))
         """
-        from geomag.projection import align
+        from geomag.projection import DEGREES, align, convergence_deg, transform
 
         if self.geographic is None or self.geographic == grid.geographic:
             return self
         there = align(grid, Track(self.x, self.y, np.zeros(len(self.x)), geographic=self.geographic))
-        truth = self.truth
+        assert grid.crs is not None
+        turn = convergence_deg(grid.crs, self.x, self.y)
+        velocity, heading, truth = self.velocity_m_s, self.heading_deg, self.truth
+        if velocity is not None:
+            east, north = velocity.T
+            c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+            velocity = np.column_stack([c * east - s * north, s * east + c * north])
+        if heading is not None:
+            heading = (heading - turn) % 360.0
         if truth is not None:
-            true = align(
-                grid, Track(truth[:, 0], truth[:, 1], np.zeros(len(truth)), geographic=self.geographic), quiet=True
-            )
-            truth = np.column_stack([true.x, true.y])
-        return replace(self, x=np.asarray(there.x), y=np.asarray(there.y), truth=truth, geographic=grid.geographic)
+            truth = np.column_stack(transform(truth[:, 0], truth[:, 1], DEGREES, grid.crs))
+        return replace(
+            self,
+            x=np.asarray(there.x),
+            y=np.asarray(there.y),
+            velocity_m_s=velocity,
+            heading_deg=heading,
+            truth=truth,
+            geographic=grid.geographic,
+        )
 
 
 def _columns(names: list[str], asked: Mapping[str, str | None], where: str) -> dict[str, int]:
@@ -178,8 +213,10 @@ def _number(text: str, where: str) -> float:
     return value
 
 
-def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
-    r"""Read a log of a flight from a file; `columns` as for `read_rows`.
+def read_flight_log(path: str | Path, *, dated: bool = False, **columns: str | None) -> FlightLog:
+    r"""Read a log of a flight from a file; `columns` as for `read_rows`, and height.
+
+    `dated` asks for the dates of its times too, for what changes from day to day; a log without dates is refused then.
 
     Files are read as `geomag.read_track` reads them (separators, units in names, dummies, times of every kind, compressed, logs of vehicles).
     A reading that is missing is NaN; a log whose velocity or heading is missing in some rows is taken as one without.
@@ -227,7 +264,14 @@ def read_flight_log(path: str | Path, **columns: str | None) -> FlightLog:
         return found[0] if len(found) == 1 else np.column_stack(found)
 
     velocity, truth = whole("velocity_east", "velocity_north"), whole("true_x", "true_y")
-    return FlightLog(time, points.x, points.y, points.values, velocity, whole("heading"), truth, points.geographic)
+    height = None
+    if (asked_height := columns.get("height")) is not None:
+        column = asked_column(table.columns, asked_height, where)
+        height = table.floats(column) * metres_in(column.unit, f"{where}, column '{column.name}'")
+    date = dates_of(table, columns.get("time_s")) if dated else None
+    return FlightLog(
+        time, points.x, points.y, points.values, velocity, whole("heading"), truth, points.geographic, height, date
+    )
 
 
 def write_flight_log(path: str | Path, log: FlightLog) -> None:
@@ -239,6 +283,8 @@ def write_flight_log(path: str | Path, log: FlightLog) -> None:
         columns.append(("heading_deg", log.heading_deg))
     if log.truth is not None:
         columns += [("true_x", log.truth[:, 0]), ("true_y", log.truth[:, 1])]
+    if log.height_m is not None:
+        columns.append(("height_m", log.height_m))
     with Path(path).open("w", newline="") as out:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow([name for name, _ in columns])

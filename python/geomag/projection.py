@@ -29,12 +29,12 @@ from geomag._optional import require
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["AlignedWarning", "align", "transform", "true_scale"]
+__all__ = ["AlignedWarning", "align", "convergence_deg", "transform", "true_scale"]
 
 #: Scales nearer to one than this are left: UTM within its zone.
 _NEAR_ONE = 1e-3
 #: Degrees of longitude and latitude as logs have them.
-_DEGREES = "EPSG:4326"
+DEGREES = "EPSG:4326"
 
 
 class AlignedWarning(UserWarning):
@@ -96,6 +96,24 @@ def transform(x: ArrayLike, y: ArrayLike, source: str, target: str) -> tuple[NDA
     return out[0], out[1]
 
 
+def convergence_deg(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDArray[np.float64]:
+    """Bearing of a projection's north at places in degrees, clockwise from true north, degrees; 0 for a system in degrees.
+
+    A course over the map is that over the ground less this.
+
+    Examples
+    --------
+    >>> from geomag.projection import convergence_deg
+    >>> convergence_deg("EPSG:32632", [9.0, 12.0], [45.0, 45.0]).round(3)
+    array([0.   , 2.122])
+    """
+    lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=float), np.asarray(latitude, dtype=float))
+    if _crs(crs).is_geographic:
+        return np.zeros(lon.shape)
+    pyproj = require("pyproj", "geo", "coordinate reference systems")
+    return np.asarray(pyproj.Proj(_crs(crs)).get_factors(lon, lat).meridian_convergence, dtype=float)
+
+
 def align(grid: GridMap, track: Track, *, track_crs: str | None = None, quiet: bool = False) -> Track:
     """A track in the coordinates of a map.
 
@@ -145,8 +163,8 @@ def align(grid: GridMap, track: Track, *, track_crs: str | None = None, quiet: b
             raise InvalidInputError(
                 f"track: needed positions in {ours} as the map's, got {theirs}, and the map has no CRS by which to turn them"
             )
-        track_crs = _DEGREES
-    target = grid.crs or (_DEGREES if grid.geographic else None)
+        track_crs = DEGREES
+    target = grid.crs or (DEGREES if grid.geographic else None)
     if target is None:
         raise InvalidInputError(f"track_crs: needed a map with a CRS, got one in {kinds[not grid.geographic]} without")
     if _crs(track_crs) == _crs(target):

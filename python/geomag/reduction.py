@@ -18,16 +18,25 @@ from geomag._errors import InvalidInputError, ShapeError, TooFewSamplesError
 from geomag._geomag import Track, match_contour
 from geomag._optional import require
 from geomag.mainfield import load
+from geomag.projection import DEGREES, transform
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
-    from geomag._geomag import Fix, GridMap
+    from geomag._geomag import Fix, GridMap, MapStack
     from geomag.mainfield import MainField
 
-__all__ = ["GravityReduction", "MagneticReduction", "Reduced", "Reduction", "eotvos_mgal", "match_with_reduction"]
+__all__ = [
+    "GravityReduction",
+    "MagneticReduction",
+    "Reduced",
+    "Reduction",
+    "Reductions",
+    "eotvos_mgal",
+    "match_with_reduction",
+]
 
 #: Gradient of gravity in sea water of 1028 kg/m3, mGal/m: free-air gradient less twice the slab of water above.
 SEA_WATER_GRADIENT_MGAL_M = 0.3086 - 2.0 * 0.04193 * 1.028
@@ -141,6 +150,41 @@ class MagneticReduction:
 
 
 @dataclass(frozen=True)
+class Reductions:
+    """Several reductions as one: the main field and the daily variation, say.
+
+    Parameters
+    ----------
+    parts : Reduction, ...
+        What is taken off, in any order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from geomag.reduction import MagneticReduction, Reductions
+    >>> here = np.array([10.0]), np.array([45.0])
+    >>> main = MagneticReduction("2026-06-01", 600.0)
+    >>> twice = Reductions(main, main)
+    >>> bool(np.all(twice.correction(*here, None) == 2 * main.correction(*here, None)))
+    True
+    """
+
+    parts: tuple[Reduction, ...]
+
+    def __init__(self, *parts: Reduction) -> None:
+        object.__setattr__(self, "parts", parts)
+
+    def correction(
+        self, longitude: NDArray[np.float64], latitude: NDArray[np.float64], time_s: NDArray[np.float64] | None
+    ) -> NDArray[np.float64]:
+        """Sum of the corrections of the parts."""
+        total = np.zeros(np.shape(longitude))
+        for part in self.parts:
+            total = total + part.correction(longitude, latitude, time_s)
+        return total
+
+
+@dataclass(frozen=True)
 class Reduced:
     """What repeated reduction found."""
 
@@ -158,13 +202,14 @@ class Reduced:
 
 
 def match_with_reduction(
-    grid: GridMap,
+    grid: GridMap | MapStack,
     x: ArrayLike,
     y: ArrayLike,
     readings: ArrayLike,
     reduction: Reduction,
     *,
     time_s: ArrayLike | None = None,
+    height_m: ArrayLike | None = None,
     matcher: Callable[..., Fix] = match_contour,
     max_passes: int = 10,
     tolerance_m: float = 10.0,
@@ -177,8 +222,8 @@ def match_with_reduction(
 
     Parameters
     ----------
-    grid : GridMap
-        Geographic map of the anomaly.
+    grid : GridMap or MapStack
+        Map of the anomaly, in degrees or with a CRS by which degrees are turned into its coordinates.
     x, y : arrays of shape (n,)
         Indicated longitude and latitude, degrees.
     readings : array of shape (n,)
@@ -187,8 +232,10 @@ def match_with_reduction(
         `GravityReduction`, `MagneticReduction`, or anything with their `correction`.
     time_s : array of shape (n,), optional
         Times, seconds.
+    height_m : float or array of shape (n,), optional
+        Heights above the map's height datum, for a map at another one: it is continued to them.
     matcher : callable
-        `matcher(grid, track, **options) -> Fix`; `match_contour` by default.
+        `matcher(grid, track, **options) -> Fix`; `match_contour` by default, `match_posterior` for a declared risk.
     max_passes : int
         Greatest number of matches, >= 1.
     tolerance_m : float
@@ -218,8 +265,11 @@ def match_with_reduction(
     >>> found.fix.status, bool(error < 0.001), found.converged, found.passes > 1
     ('fixed', True, True, True)
     """
-    if not grid.geographic:
-        raise InvalidInputError("match_with_reduction: needed a geographic map (degrees), got a projected one")
+    crs = getattr(grid, "crs", None)
+    if not grid.geographic and crs is None:
+        raise InvalidInputError(
+            "match_with_reduction: needed a geographic map (degrees) or one with a CRS, got a projected one without"
+        )
     if max_passes < 1:
         raise InvalidInputError(f"max_passes: needed at least 1, got {max_passes}")
     if not tolerance_m > 0:
@@ -229,11 +279,15 @@ def match_with_reduction(
     for name, a in (("x", px), ("y", py), ("readings", raw), ("time_s", times)):
         if a is not None and a.shape != (px.size,):
             raise ShapeError(f"match_with_reduction {name}: needed shape ({px.size},), got {a.shape}")
-    at = np.column_stack([px, py])
+    ix, iy = (px, py) if crs is None or grid.geographic else transform(px, py, DEGREES, crs)
+    at = np.column_stack([ix, iy])
+
+    def correction() -> NDArray[np.float64]:
+        here = (at[:, 0], at[:, 1]) if crs is None or grid.geographic else transform(at[:, 0], at[:, 1], crs, DEGREES)
+        return reduction.correction(here[0], here[1], times)
 
     def match() -> Fix:
-        values = raw + reduction.correction(at[:, 0], at[:, 1], times)
-        return matcher(grid, Track(px, py, values, times), **options)
+        return matcher(grid, Track(ix, iy, raw + correction(), times, height_m=height_m), **options)
 
     moved = np.inf
     first = fix = match()
@@ -242,11 +296,12 @@ def match_with_reduction(
         if not np.isfinite(fix.track).all() or len(fix.track) != px.size:
             break
         metres = np.array([grid.metres_per_unit(float(v)) for v in fix.track[:, 1]])
-        turn = (fix.track[:, 0] - at[:, 0] + 180.0) % 360.0 - 180.0
+        turn = fix.track[:, 0] - at[:, 0]
+        turn = (turn + 180.0) % 360.0 - 180.0 if grid.geographic else turn
         step = np.column_stack([turn, fix.track[:, 1] - at[:, 1]]) * metres
         moved = float(np.hypot(*step.T).max()) if passes > 1 else np.inf
         at = np.asarray(fix.track)
         if moved <= tolerance_m:
             break
-    final = raw + reduction.correction(at[:, 0], at[:, 1], times)
+    final = raw + correction()
     return Reduced(fix, final, passes, moved, moved <= tolerance_m, first)

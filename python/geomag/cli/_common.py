@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from geomag._errors import DataWarning, GeomagError, InvalidInputError, TimeError
 from geomag._explain import reasons, status_in_words
 from geomag._geomag import GridMap, Track
 from geomag.io._tables import load_table
 from geomag.io._text import Table
-from geomag.io._tracks import track_of
+from geomag.io._tracks import dates_of, kept_rows, points_of, track_of
 
 if TYPE_CHECKING:
     from geomag import Fix
@@ -81,21 +82,6 @@ def three(text: str | None) -> tuple[str, str, str] | None:
     return parts[0], parts[1], parts[2]
 
 
-def load_track(
-    path: Path,
-    grid: GridMap,
-    x: str | None,
-    y: str | None,
-    value: str | None,
-    drop: bool,
-    position: str | None = None,
-    reading: str | None = None,
-    **units: Any,  # noqa: ANN401 - `xy_unit` and `value_unit`
-) -> Track:
-    """Read a track for a map and bring it to the map's coordinates; what was done for that is told on standard error."""
-    return aligned(grid, _read(load_table(path, position, reading), grid, x, y, value, drop, **units))
-
-
 def aligned(grid: GridMap, track: Track) -> Track:
     """A track in the map's coordinates; what was done for that is told on standard error."""
     from geomag.projection import align
@@ -123,6 +109,39 @@ def telling() -> Iterator[None]:
         yield
 
 
+def load_dated(
+    path: Path,
+    grid: GridMap,
+    columns: tuple[str | None, str | None, str | None],
+    drop: bool,
+    *,
+    position: str | None = None,
+    reading: str | None = None,
+    height: str | None = None,
+    time: str | None = None,
+    dated: bool = False,
+    **units: Any,  # noqa: ANN401 - `xy_unit` and `value_unit`
+) -> tuple[Track, NDArray[np.datetime64] | None]:
+    """A track as the log has it, in the log's own coordinates, with heights from a column, and the dates of its samples."""
+    table = load_table(path, position, reading)
+    x, y, value = columns
+    track = _read(table, grid, x, y, value, drop, height, time, **units)
+    if not dated:
+        return track, None
+    points = points_of(table, x, y, _value_of(table, grid, value), unit=grid.units, **units)
+    return track, dates_of(table, time)[kept_rows(table, points, "drop" if drop else "error")]
+
+
+def _value_of(table: Table, grid: GridMap, value: str | None) -> str | None:
+    """The column of the readings: as asked, or that of the map's own name where several may be."""
+    if value is None and grid.name:
+        named = [
+            c for c in table.columns if c.kind == "value" and grid.name.lower() in (c.name.lower(), c.base.lower())
+        ]
+        value = named[0].name if len(named) == 1 else None
+    return value
+
+
 def _read(
     table: Table,
     grid: GridMap,
@@ -130,6 +149,8 @@ def _read(
     y: str | None,
     value: str | None,
     drop: bool,
+    height: str | None = None,
+    time: str | None = None,
     **units: Any,  # noqa: ANN401 - `xy_unit` and `value_unit`
 ) -> Track:
     """A track for a map: its readings by their unit, or by the name of the map's variable where several may be; times only if they are clear.
@@ -137,16 +158,14 @@ def _read(
     No command that takes a track has a use for times that cannot be read, so that those are told and left.
     """
     missing: Literal["error", "drop"] = "drop" if drop else "error"
-    if value is None and grid.name:
-        named = [
-            c for c in table.columns if c.kind == "value" and grid.name.lower() in (c.name.lower(), c.base.lower())
-        ]
-        value = named[0].name if len(named) == 1 else None
+    value = _value_of(table, grid, value)
     try:
-        return track_of(table, x, y, value, missing=missing, grid=grid, **units)
+        return track_of(table, x, y, value, time=time, missing=missing, grid=grid, height=height, **units)
     except TimeError as error:
+        if time is not None:
+            raise
         warnings.warn(f"times are left out: {str(error).partition('; ')[0]}", DataWarning, stacklevel=2)
-        return track_of(table, x, y, value, time=False, missing=missing, grid=grid, **units)
+        return track_of(table, x, y, value, time=False, missing=missing, grid=grid, height=height, **units)
 
 
 def describe(grid: GridMap, track: Track, fix: Fix, risk: str = "that the error is beyond the tolerance") -> list[str]:

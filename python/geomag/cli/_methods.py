@@ -64,6 +64,7 @@ class Settings:
     scale_sigma: float = 0.0
     letter: bool = False
     surface: bool = False
+    bias_walk: float = 0.0
 
     def map_units(self, grid: GridMap, track: Track, metres: float) -> tuple[float, float]:
         """A length in map units, (x, y), at the newest sample."""
@@ -103,6 +104,7 @@ def _posterior(grid: GridMap, track: Track, told: Settings) -> Answer:
         bias_sigma=None if told.remove_mean else 0.0,
         heading_sigma_deg=told.heading_deg,
         scale_sigma=told.scale_sigma,
+        bias_walk=told.bias_walk,
         surface=told.surface,
     )
     return fix, []

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Track
-from geomag.cli import NO_FIX, app
+from geomag.cli import NO_FIX, _raw, app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
-from geomag.cli._common import describe, fix_json, load_track, three, with_told_errors
+from geomag.cli._common import aligned, describe, fix_json, load_dated, three, with_told_errors
 from geomag.cli._methods import (
     IEMA_SIGMA,
     LARGEST_IS_BEST,
@@ -25,6 +27,9 @@ from geomag.cli._methods import (
 )
 from geomag.cli._settings import again
 from geomag.io import read_grid
+
+if TYPE_CHECKING:
+    from geomag.reduction import Reduction
 
 
 def default_half_width_m(grid: GridMap) -> float:
@@ -125,6 +130,12 @@ def match(
     reading: Annotated[
         str | None, typer.Option(help="Stream of the readings of a log, or a number of any message as message.field.")
     ] = None,
+    main_field: Annotated[str | None, typer.Option(help=_raw.MAIN_FIELD)] = None,
+    date: Annotated[str | None, typer.Option(help=_raw.DATE)] = None,
+    time: Annotated[str | None, typer.Option(help="Column of the times or dates.")] = None,
+    base: Annotated[Path | None, typer.Option(help=_raw.BASE)] = None,
+    height_m: Annotated[str | None, typer.Option(help=_raw.HEIGHT)] = None,
+    map_height_m: Annotated[float | None, typer.Option(help=_raw.MAP_HEIGHT)] = None,
     drop_missing: Annotated[bool, typer.Option(help="Leave out rows with missing values instead of refusing.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object with the fields of the fix.")] = False,
     plot: Annotated[Path | None, typer.Option(callback=picture, help="Write a picture to this file.")] = None,
@@ -140,8 +151,25 @@ def match(
     grid = read_grid(map, variable, geographic=geographic, columns=three(columns), sigma=map_sigma)
     if method.value in MEANT_FOR["line_spacing_m"]:
         grid = with_told_errors(grid, line_spacing_m, map_sigma)
-    samples = load_track(
-        track, grid, x, y, value, drop_missing, position, reading, xy_unit=xy_unit, value_unit=value_unit
+    raw = _raw.Raw(main_field, date, base, height_m, map_height_m)
+    grid = raw.map(grid)
+    log, dates = load_dated(
+        track,
+        grid,
+        (x, y, value),
+        drop_missing,
+        position=position,
+        reading=reading,
+        height=raw.column,
+        time=time,
+        dated=raw.dated,
+        xy_unit=xy_unit,
+        value_unit=value_unit,
+    )
+    heights, above = raw.heights(grid, log.height_m, len(log))
+    samples = aligned(grid, log)
+    samples = Track(
+        samples.x, samples.y, samples.values, samples.time_s, height_m=heights, geographic=samples.geographic
     )
     reach = default_half_width_m(grid) if half_width_m is None else half_width_m
     told = Settings(
@@ -156,7 +184,11 @@ def match(
         letter=letter,
         surface=plot is not None or report is not None,
     )
-    fix, steps = solve(grid, samples, method.value, told)
+    reduction = raw.reduction(dates, above)
+    if reduction is None:
+        fix, steps = solve(grid, samples, method.value, told)
+    else:
+        fix, steps, samples = solve_raw(grid, log, samples, reduction, raw, method.value, told)
     if plot is not None:
         draw(grid, samples, fix, plot, method.value, steps)
     if report is not None:
@@ -169,8 +201,48 @@ def match(
     if json_:
         typer.echo(fix_json(fix, method=method.value, half_width_m=reach))
     else:
+        for line in raw.said:
+            typer.echo(line)
         typer.echo("\n".join(describe(grid, samples, fix, risk_of(method.value, tolerance_m))))
     return 0 if fix.ok else NO_FIX
+
+
+def solve_raw(
+    grid: GridMap, log: Track, samples: Track, reduction: Reduction, raw: _raw.Raw, method: str, told: Settings
+) -> tuple[Fix, list[Feasible], Track]:
+    """A fix of raw readings, which are reduced where the log says, and again where they turn out to have been taken."""
+    from geomag.reduction import match_with_reduction
+
+    longitude, latitude = _raw.in_degrees(grid, log.x, log.y, log.geographic)
+    span = None if samples.time_s is None else float(np.ptp(samples.time_s))
+    left = raw.tell(reduction, longitude, latitude, span)
+    told = replace(told, bias_walk=left.get("drift_nt", 0.0))
+    frames: list[Feasible] = []
+
+    def matcher(grid: GridMap, track: Track) -> Fix:
+        nonlocal frames
+        fix, frames = solve(grid, track, method, told)
+        return fix
+
+    found = match_with_reduction(
+        grid,
+        longitude,
+        latitude,
+        samples.values,
+        reduction,
+        time_s=samples.time_s,
+        height_m=samples.height_m,
+        matcher=matcher,
+    )
+    reduced = Track(
+        samples.x,
+        samples.y,
+        found.values,
+        samples.time_s,
+        height_m=samples.height_m,
+        geographic=samples.geographic,
+    )
+    return found.fix, frames, reduced
 
 
 def refuse_idle(context: typer.Context, method: str, letter: bool) -> None:

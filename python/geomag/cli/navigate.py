@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,15 +16,15 @@ import typer
 
 from geomag._errors import InvalidInputError, MissingFileError
 from geomag._explained import explained
-from geomag._geomag import GridMap, InsModel, Navigator, Track
+from geomag._geomag import GridMap, InsModel, Navigator
 from geomag._navigation import Navigation
 from geomag._navigation import navigate as navigate_log
-from geomag.cli import NO_FIX, app
+from geomag.cli import NO_FIX, _raw, app
 from geomag.cli._checks import not_negative, output, picture, positive, share
 from geomag.cli._common import jsonable, telling, with_told_errors
 from geomag.flight_log import FlightLog, LogRow, read_flight_log, read_rows
 from geomag.io import read_grid
-from geomag.projection import align
+from geomag.projection import AlignedWarning
 
 Array = npt.NDArray[np.float64]
 
@@ -98,6 +99,11 @@ def navigate(
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
     y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
     value: Annotated[str | None, typer.Option(help="Column of the readings.")] = None,
+    main_field: Annotated[str | None, typer.Option(help=_raw.MAIN_FIELD)] = None,
+    date: Annotated[str | None, typer.Option(help=_raw.DATE)] = None,
+    base: Annotated[Path | None, typer.Option(help=_raw.BASE)] = None,
+    height_m: Annotated[str | None, typer.Option(help=_raw.HEIGHT)] = None,
+    map_height_m: Annotated[float | None, typer.Option(help=_raw.MAP_HEIGHT)] = None,
     json_: Annotated[
         bool, typer.Option("--json", help="Print one JSON object: how it ends, and the figures of the flight.")
     ] = False,
@@ -121,13 +127,30 @@ def navigate(
         "integrity_risk": integrity_risk,
     }  # fmt: skip
     columns = {"time_s": time, "x": x, "y": y, "value": value}
+    raw = _raw.Raw(main_field, date, base, height_m, map_height_m)
+    grid = raw.map(grid)
     if str(log) == "-":
-        for name, asked in (("--plot", plot), ("--report", report), ("--out", out)):
+        files = (("--plot", plot), ("--report", report), ("--out", out))
+        for name, asked in (*files, ("--main-field", main_field), ("--base", base), ("--height-m", height_m)):
             if asked is not None:
                 raise InvalidInputError(f"{name}: needed a log in a file, got a pipe")
         return live(Navigator(grid, **options), grid, columns)
+    flown = read_flight_log(log, dated=raw.dated, height=raw.column, **columns)
+    heights, above = raw.heights(grid, flown.height_m, flown.x.size)
+    reduction = raw.reduction(flown.date, above)
+    if reduction is not None:
+        places = _raw.in_degrees(grid, flown.x, flown.y, flown.geographic)
+        left = raw.tell(reduction, *places, float(np.ptp(flown.time_s)))
+        if "walk_nt_sqrt_s" in left:
+            options["bias_walk"] = left["walk_nt_sqrt_s"]
+        flown = replace(flown, readings=flown.readings + reduction.correction(*places, None))
+    if flown.geographic and not grid.geographic:
+        options["latitude_deg"] = float(np.mean(flown.y))
     with telling():
-        flown = read_flight_log(log, **columns).on_map(grid)
+        flown = flown.on_map(grid)
+    if not json_:
+        for word in raw.said:
+            typer.echo(word)
     flight = navigate_log(
         grid,
         flown.time_s,
@@ -136,6 +159,7 @@ def navigate(
         velocity_m_s=flown.velocity_m_s,
         heading_deg=flown.heading_deg,
         readings=flown.readings,
+        height_m=heights,
         **options,
     )
     truth = None if flown.truth is None else (flown.truth[:, 0], flown.truth[:, 1])
@@ -242,8 +266,29 @@ def _on_map(row: LogRow, grid: GridMap) -> LogRow:
     """A row in the map's coordinates."""
     if row.geographic is None or row.geographic == grid.geographic:
         return row
-    there = align(grid, Track([row.x], [row.y], [0.0], geographic=row.geographic), quiet=True)
-    return replace(row, x=float(there.x[0]), y=float(there.y[0]), geographic=grid.geographic)
+    one = np.array([0.0])
+    log = FlightLog(
+        one,
+        np.array([row.x]),
+        np.array([row.y]),
+        one,
+        None if row.velocity_m_s is None else np.array([row.velocity_m_s]),
+        None if row.heading_deg is None else np.array([row.heading_deg]),
+        geographic=row.geographic,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AlignedWarning)
+        there = log.on_map(grid)
+    return replace(
+        row,
+        x=float(there.x[0]),
+        y=float(there.y[0]),
+        velocity_m_s=None
+        if there.velocity_m_s is None
+        else (float(there.velocity_m_s[0, 0]), float(there.velocity_m_s[0, 1])),
+        heading_deg=None if there.heading_deg is None else float(there.heading_deg[0]),
+        geographic=grid.geographic,
+    )
 
 
 def answer(navigator: Navigator, row: LogRow) -> str:

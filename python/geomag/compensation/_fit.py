@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from geomag._errors import InvalidInputError, NotFiniteError, ShapeError, TooFewSamplesError
+from geomag._geomag import GridMap, MapStack
 from geomag._optional import require
 from geomag.compensation._model import Compensation, terms
+from geomag.continuation import _stack_for
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -59,6 +61,9 @@ def fit(
     field_nt: ArrayLike,
     *,
     expected_nt: ArrayLike | None = None,
+    crust: tuple[GridMap | MapStack, ArrayLike, ArrayLike]
+    | tuple[GridMap | MapStack, ArrayLike, ArrayLike, ArrayLike]
+    | None = None,
     band_hz: tuple[float, float] = (0.1, 0.9),
     ridge: float | Literal["cv"] = "cv",
     folds: int = 5,
@@ -82,7 +87,10 @@ def fit(
     field_nt : array of shape (n, 3)
         Field in the vehicle's axes, nT: a vector magnetometer's, or `field_in_vehicle` of main field and attitude. NaN is left out.
     expected_nt : array of shape (n,), optional
-        What is known of the field along the flight: main field, crust from a map (`GridMap.sample`), both. It is taken off first.
+        What is known of the field along the flight, the main field for one. It is taken off first.
+    crust : tuple (map, x, y) or (map, x, y, height_m), optional
+        A map of the crust and where the flight was, map units, by GNSS: what the map says there is taken off first, at the heights of the
+        flight where these are given. Samples off the map are left out. For flights low over rough crust.
     band_hz : pair of floats
         Band in which is fitted, Hz.
     ridge : float or 'cv'
@@ -125,6 +133,8 @@ def fit(
         if expected.shape != (n,):
             raise ShapeError(f"compensation expected_nt: needed shape {(n,)}, got {expected.shape}")
         reading = reading - expected
+    if crust is not None:
+        reading = reading - crust_along(n, *crust)
     good = np.isfinite(reading) & np.isfinite(field).all(axis=1)
     if saturation_nt is not None:
         raw = np.asarray(reading_nt, dtype=float)
@@ -156,6 +166,25 @@ def fit(
     after = float(np.std(left))
     ratio = float(np.std(signal)) / after if after > 0 else float("inf")
     return Compensation(coefficients, covariance, penalty, (low, high), 2.5 * step, ratio, after, len(signal))
+
+
+def crust_along(
+    n: int, grid: GridMap | MapStack, x: ArrayLike, y: ArrayLike, height_m: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """What a map says along a flight of n samples; NaN off the map."""
+    px, py = (np.asarray(v, dtype=float) for v in (x, y))
+    for name, given in (("x", px), ("y", py)):
+        if given.shape != (n,):
+            raise ShapeError(f"compensation crust {name}: needed shape {(n,)}, got {given.shape}")
+    if height_m is None:
+        if isinstance(grid, MapStack):
+            raise InvalidInputError("compensation crust: needed (stack, x, y, height_m), got no heights")
+        return np.asarray(grid.sample(px, py, method="bicubic"), dtype=float)
+    height = np.broadcast_to(np.asarray(height_m, dtype=float), (n,))
+    if not np.isfinite(height).all():
+        raise NotFiniteError("compensation crust height_m: needed finite heights, got NaN or infinity")
+    stack = grid if isinstance(grid, MapStack) else _stack_for(grid, float(height.min()), float(height.max()), False)
+    return np.asarray(stack.sample(px, py, height), dtype=float)
 
 
 def _pieces(

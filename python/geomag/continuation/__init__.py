@@ -29,7 +29,7 @@ from geomag.continuation._errors import (
     sigma_layer,
     spread_of_errors,
 )
-from geomag.continuation._level import EDGE_SHARE, on_level, one_level
+from geomag.continuation._level import EDGE_SHARE_OF_VALUE, on_level, one_level
 from geomag.continuation._waves import Array, Waves
 
 __all__ = ["continue_to", "levels", "vertical_gradient"]
@@ -42,11 +42,13 @@ def _edges(edges: str) -> str:
 
 
 @overload
-def continue_to(grid: GridMap, height_m: float, *, edges: str = "foretold") -> GridMap: ...
+def continue_to(grid: GridMap, height_m: float, *, edges: str = "foretold", about: str = "track") -> GridMap: ...
 @overload
-def continue_to(grid: GridMap, height_m: Sequence[float] | Array, *, edges: str = "foretold") -> MapStack: ...
 def continue_to(
-    grid: GridMap, height_m: float | Sequence[float] | Array, *, edges: str = "foretold"
+    grid: GridMap, height_m: Sequence[float] | Array, *, edges: str = "foretold", about: str = "track"
+) -> MapStack: ...
+def continue_to(
+    grid: GridMap, height_m: float | Sequence[float] | Array, *, edges: str = "foretold", about: str = "track"
 ) -> GridMap | MapStack:
     """Return the map at another height, or a stack of it at several.
 
@@ -62,6 +64,10 @@ def continue_to(
     edges : {'foretold', 'mirrored', 'periodic'}
         What lies beyond the edges and in holes: what the known values foretell of a field with the spectrum of crustal fields
         (the default), their reflection in the value at the edge, or the map itself again, without a margin.
+    about : {'track', 'value'}
+        What sigma says of the part that comes from beyond the edges: how it changes along a track, beside a bias that the matcher
+        or navigator finds (as learnt maps have it), or how far a value itself may be off, which is several times as much far
+        inside.
 
     Returns
     -------
@@ -80,8 +86,9 @@ def continue_to(
         integral of k^3 (1 + (2 k L)^2)^(-5/2) exp(-2 k h) dk  over  the same with h = 0
 
     (a map is right at its data, so that its errors have no long waves), and its correlation length grows likewise; L is that of the
-    error model where the errors are large, or two cells. Sigma also has what may come from beyond the edges: a seventh of the map's spread
-    times the share of the value that does, less where that comes from further than the map is alike. A map without a sigma has none at
+    error model where the errors are large, or two cells. An error at a height is a mean over as many as were apart below, so that the
+    tails of a learnt error model are lighter there: degrees of freedom add up (Welch 1947, doi 10.1093/biomet/34.1-2.28). Sigma also has what may come from beyond the edges: of the map's spread times the
+    share of the value that does, 8 %, less where that comes from further than the map is alike (`about="value"`: 30 % everywhere). A map without a sigma has none at
     other heights either; where the edge's part is more than a cell's worth of gradient, it has holes there. Downward, Wiener's filter; what it holds back, as foretold by
     an exponential fitted to the spectrum, is in sigma. Degrees of longitude are taken as constant over rows that differ by 2 %.
 
@@ -96,6 +103,8 @@ def continue_to(
     (True, 300.0)
     """
     edges = _edges(edges)
+    if about not in ("track", "value"):
+        raise InvalidInputError(f"about: needed 'track' or 'value', got {about!r}")
     heights = np.atleast_1d(np.asarray(height_m, dtype=float))
     if heights.ndim != 1 or heights.size == 0 or not np.isfinite(heights).all():
         raise InvalidInputError(f"height_m: needed a finite height or a sequence of them, got {height_m!r}")
@@ -108,14 +117,14 @@ def continue_to(
             f"height_m: needed heights within the width of the map ({extent:.0f} m) of its own ({level:.0f} m), got {far:.0f} m"
         )
     heights = np.unique(heights)
-    done = one_level(base, [float(h - level) for h in heights], edges)
+    done = one_level(base, [float(h - level) for h in heights], edges, about)
     maps = []
-    for h, (values, sigma, longer) in zip(heights, done, strict=True):
+    for h, (values, sigma, longer, apart) in zip(heights, done, strict=True):
         if not np.isfinite(values).any():
             raise InvalidInputError(
                 f"height_m: needed a height at which something of the map is known, got {h:.0f} m for a map at {level:.0f} m"
             )
-        maps.append(rebuilt(base, values, sigma, float(h), longer))
+        maps.append(rebuilt(base, values, sigma, float(h), longer, apart))
     return maps[0] if np.ndim(height_m) == 0 else MapStack(maps)
 
 
@@ -168,22 +177,28 @@ def vertical_gradient(grid: GridMap, *, edges: str = "foretold") -> GridMap:
             k, share = error_law(length, float(waves.k.max()))
             ratio, longer = spread_of_errors(k, k, share, length)
             # A map that ends tells its slope no better than its value a cell higher.
-            edge = waves.beyond(max(cell)) * EDGE_SHARE * float(np.std(values[seen][waves.known])) / max(cell)
+            edge = waves.beyond(max(cell)) * EDGE_SHARE_OF_VALUE * float(np.std(values[seen][waves.known])) / max(cell)
             sigma[kept] = np.sqrt(ratio * stated[seen] ** 2 + edge**2)[inner]
     units = None if grid.units is None else f"{grid.units}/m"
     name = None if grid.name is None else f"vertical gradient of {grid.name}"
     return rebuilt(grid, out, sigma, grid.height_m, longer, units=units, name=name)
 
 
-def _between(rings: Array, power: Array, low_m: float, high_m: float) -> float:
-    """Root mean square of what a straight line between two heights misses half-way, value units."""
-    below, above = np.exp(-rings * low_m), np.exp(-rings * high_m)
-    miss = 0.5 * (below + above) - np.exp(-rings * 0.5 * (low_m + high_m))
-    return float(np.sqrt((power * miss**2).sum()))
+#: Share of a field's slopes that a straight line between two levels may miss half-way: slopes are what tells a place.
+SLOPES = 0.05
+
+
+def _between(rings: Array, power: Array, low_m: float, high_m: float) -> tuple[float, float]:
+    """Root mean square of what a straight line between two heights misses half-way, value units; of its slopes, as a share of them."""
+    half_way = np.exp(-rings * 0.5 * (low_m + high_m))
+    miss = 0.5 * (np.exp(-rings * low_m) + np.exp(-rings * high_m)) - half_way
+    steep = power * rings**2
+    slopes = (steep * miss**2).sum() / max((steep * half_way**2).sum(), np.finfo(float).tiny)
+    return float(np.sqrt((power * miss**2).sum())), float(np.sqrt(slopes))
 
 
 def levels(grid: GridMap, low_m: float, high_m: float) -> Array:
-    """Return heights from `low_m` to `high_m` between which a straight line errs by a quarter of the map's own error.
+    """Return heights from `low_m` to `high_m` between which a straight line errs by a quarter of the map's own error, and by a twentieth of its slopes.
 
     By the map's spectrum; for a map that states no error, or none at all, by half a percent of its spread. At most 64.
 
@@ -214,7 +229,10 @@ def levels(grid: GridMap, low_m: float, high_m: float) -> Array:
         left = float(np.sqrt((power * np.exp(-2 * rings * at)).sum()))
         target = max(0.25 * own * np.sqrt(ratio), 0.005 * (left if own > 0 else spread), 1e-12)
         step, least = high_m - out[-1], 1e-3 * (high_m - low_m)
-        while step > least and _between(rings, power, out[-1] - level, out[-1] + step - level) > target:
+        while step > least:
+            miss, slopes = _between(rings, power, out[-1] - level, out[-1] + step - level)
+            if miss <= target and slopes <= SLOPES:
+                break
             step *= 0.8
         out.append(min(out[-1] + step, high_m))
     out[-1] = high_m

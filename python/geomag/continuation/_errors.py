@@ -37,6 +37,18 @@ def spread_of_errors(transfer: Array, k: Array, share: Array, length_m: float) -
     return float(after.sum()), float(scale / (share / k).sum())
 
 
+def degrees_of_freedom(longer: float, map_variance: Array, edge_variance: Array) -> float:
+    """Factor on the degrees of freedom of a map's errors at a height (Welch 1947, doi 10.1093/biomet/34.1-2.28).
+
+    An error of the map is a mean over as many as were apart below, the growth of the correlation length squared, whose degrees of
+    freedom add up; what comes from beyond an edge is of one piece.
+    """
+    own, edge = float(np.median(map_variance)), float(np.median(edge_variance))
+    if not own + edge > 0.0:
+        return 1.0
+    return float((own + edge) ** 2 / (own**2 / max(longer, 1.0) ** 2 + edge**2))
+
+
 def metres(grid: GridMap, row: float | None = None) -> tuple[float, float]:
     y = grid.y
     east, north = grid.metres_per_unit(float(0.5 * (y[0] + y[-1]) if row is None else row))
@@ -94,22 +106,30 @@ def rebuilt(
     sigma: Array | float | None,
     height_m: float | Array | None,
     longer: float = 1.0,
+    apart: float = 1.0,
     **names: str | None,
 ) -> GridMap:
-    """`grid` with other values, errors and height."""
+    """`grid` with other values, errors and height; their correlation `longer`, their degrees of freedom `apart` times as many."""
     kept = np.asarray(grid.values).dtype
     words: dict[str, Any] = {"name": grid.name, "units": grid.units, "crs": grid.crs, **names}
     if isinstance(sigma, np.ndarray):
         sigma = np.where(np.isfinite(values), sigma, np.nan)
     out = GridMap(
-        values.astype(kept), grid.x, grid.y, geographic=grid.geographic, sigma=sigma, height_m=height_m, **words
+        values.astype(kept),
+        grid.x,
+        grid.y,
+        geographic=grid.geographic,
+        sigma=sigma,
+        height_m=height_m,
+        line_spacing_m=grid.line_spacing_m,
+        **words,
     )
     if grid.ground_scale is not None:
         out = out.with_ground_scale(grid.ground_scale)
     model = grid.error_model
     if model is None:
         return out
-    return out.with_error_model(**{**model, "correlation": model["correlation"] * longer})
+    return out.with_error_model(**{**model, "correlation": model["correlation"] * longer, "nu": model["nu"] * apart})
 
 
 def level_of(grid: GridMap, what: str) -> float | Array:

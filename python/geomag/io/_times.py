@@ -133,6 +133,35 @@ def _rising(t: Array) -> bool:
     return bool(np.all(np.diff(t) >= 0))
 
 
+def dates_from_text(texts: Sequence[str], where: str) -> NDArray[np.datetime64]:
+    """Dates in UTC of texts that are dates, day first where it has to be; a time without a zone is in UTC.
+
+    Raises `TimeError` for what is no date: times of day alone, or dates that can be read in two ways.
+    """
+    texts = [t.strip().strip('"') for t in texts]
+    seconds = from_text(texts, where)
+    readings = [some for some in (_all(texts, True), _all(texts, False)) if some is not None]
+    if seconds is None or not readings or not readings[0][0][2]:
+        raise TimeError(f"{where}: needed dates (YYYY-MM-DDThh:mm:ss), got '{texts[0]}'")
+    right = next(some for some in readings if np.array_equal(np.array([p[0] for p in some]) - some[0][0], seconds))
+    return _as_dates(np.array([p[0] for p in right]))
+
+
+def dates_from_numbers(numbers: Array, unit: str | None, where: str) -> NDArray[np.datetime64]:
+    """Dates in UTC of numbers since 1970, whose unit their size tells.
+
+    Raises `TimeError` for numbers that count from elsewhere.
+    """
+    for low, high, name in _EPOCHS:
+        if low <= float(numbers.min()) and float(numbers.max()) <= high and (unit is None or tidy(unit) == name):
+            return _as_dates(_scaled(numbers, SECONDS[name]))
+    raise TimeError(f"{where}: needed dates, or seconds (ms, us, ns) since 1970, got {numbers[0]:.15g}; give one date")
+
+
+def _as_dates(seconds: Array) -> NDArray[np.datetime64]:
+    return np.round(seconds * 1e6).astype("int64").astype("datetime64[us]")
+
+
 def from_text(texts: Sequence[str], where: str) -> Array | None:
     """Seconds since the first of dates or times of day; None for what is neither.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from geomag._errors import DataWarning, InvalidInputError, ReadError, TooFewSamplesError
+from geomag._errors import DataWarning, InvalidInputError, ReadError, TimeError, TooFewSamplesError
 from geomag._geomag import GridMap, Track
 from geomag._optional import require
 from geomag.io import _times
@@ -266,6 +266,21 @@ def track_of(
     )  # fmt: skip
     if grid is not None:
         _fits(points, grid, where)
+    keep = kept_rows(table, points, missing)
+    px, py, values = points.x[keep], points.y[keep], points.values[keep]
+    step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
+    seconds = _seconds(table, time, time_unit, keep, step_m)
+    heights = None
+    if height is not None:
+        column = asked_column(table.columns, height, where)
+        at = f"{where}, column '{column.name}'"
+        heights = without_dummies(table.floats(column), at)[keep] * metres_in(column.unit, at)
+    return Track(px, py, values, time_s=seconds, height_m=heights, geographic=points.geographic)
+
+
+def kept_rows(table: Table, points: Points, missing: Missing) -> NDArray[np.bool_]:
+    """Rows with a position and a value; raises for those without as `missing` says, and where there are none."""
+    where = table.where
     dummies = np.isnan(points.values) & ~np.isnan(table.floats(points.columns[2]))
     for c, own in zip(points.columns[:2], (points.x, points.y), strict=True):
         dummies |= np.isnan(own) & ~np.isnan(table.floats(c))
@@ -279,15 +294,7 @@ def track_of(
     keep = np.asarray(~bad)
     if not keep.any():
         raise TooFewSamplesError(f"{where}: needed a position and a value in one row at least, got none")
-    px, py, values = points.x[keep], points.y[keep], points.values[keep]
-    step_m = None if points.geographic is None else steps_m(px, py, points.geographic)
-    seconds = _seconds(table, time, time_unit, keep, step_m)
-    heights = None
-    if height is not None:
-        column = asked_column(table.columns, height, where)
-        at = f"{where}, column '{column.name}'"
-        heights = without_dummies(table.floats(column), at)[keep] * metres_in(column.unit, at)
-    return Track(px, py, values, time_s=seconds, height_m=heights, geographic=points.geographic)
+    return keep
 
 
 def waypoints(path: str | Path, x: str | int | None, y: str | int | None, grid: GridMap) -> Track:
@@ -408,6 +415,33 @@ def times_of(table: Table, asked: str | int | None, points: Points) -> Array:
     if found is None:  # a date beside a time of day, which are looked for without asking
         raise InvalidInputError(f"{table.where}: needed times in column '{columns[-1].name}', got none")
     return found
+
+
+def dates_of(table: Table, asked: str | int | None = None) -> NDArray[np.datetime64]:
+    """Date of every row, UTC, for what changes from day to day; NaT where a row has none.
+
+    Raises `TimeError` for a log without dates, naming the column that has none.
+    """
+    columns = [asked_column(table.columns, asked, table.where)] if asked is not None else _time_column(table, None)
+    if not columns:
+        raise TimeError(f"{table.where}: needed a column of dates, got {', '.join(c.name for c in table.columns)}")
+    column = columns[-1]
+    where = f"{table.where}, column '{column.name}'"
+    texts, plain = text_or_numbers(table, column)
+    out = np.full(len(table), np.datetime64("NaT", "us"))
+    if plain is not None:
+        known = np.isfinite(plain)
+        unit = None if tidy(column.unit or "utc") in ("utc", "gmt", "local", "gps") else column.unit
+        if known.any():
+            out[known] = _times.dates_from_numbers(plain[known], unit, where)
+        return out
+    chosen = list(cast("Sequence[str]", texts))
+    if len(columns) == 2 and all(":" in t and "-" not in t for t in chosen if t.strip()):
+        chosen = [f"{d} {t}" if t.strip() else "" for d, t in zip(table.fields[columns[0].index], chosen, strict=True)]
+    known = np.array([bool(t.strip()) for t in chosen])
+    if known.any():
+        out[known] = _times.dates_from_text([t for t in chosen if t.strip()], where)
+    return out
 
 
 def _untimed(where: str, why: str, asked: object) -> None:

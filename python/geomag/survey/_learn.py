@@ -11,13 +11,14 @@ from geomag._geomag import GridMap
 from geomag._ranges import above, at_least
 from geomag.survey._fit import fit_lapses, fit_sigma, recalibrated
 from geomag.survey._folds import DECIDING, Fold, choose_smoothing, without_stretches
+from geomag.survey._heights import Drape
 from geomag.survey._learn_filter import learn_filter
 from geomag.survey._levels import Levels
 from geomag.survey._lines import Array, Lines
 from geomag.survey._model import LEARNT_SPREAD, REGISTRATION, ErrorModel, Law, sigma_of
 from geomag.survey._steps import Progress, Steps
 from geomag.survey._surface import Axes, nearest, weight_of
-from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, Window, windows_of
+from geomag.survey._survey import SHORTEST_WINDOW, WINDOW, windows_of
 from geomag.survey._trials import CORRELATION_PRIOR, Settings, Trials, flown
 
 #: Folds where nothing is said, and the fewest lines of each.
@@ -42,6 +43,7 @@ def learn_errors(
     samples: int = WINDOW,
     folds: int | None = None,
     seed: int = 0,
+    own_heights: bool = False,
     progress: Progress = None,
 ) -> ErrorModel:
     """Learn the error model of a map from its own lines.
@@ -57,7 +59,8 @@ def learn_errors(
 
     `spacing` (map units) is that of the map, `grid` a map whose axes are used instead. `smoothing_m` is the length over which the map
     is smoothed, 0 for one that honours its lines; by default as long as what is left out, lines and stretches of them, clearly fits the
-    better for it (0 with `grid`, and by methods other than minimum curvature, which have none). `progress` is True for a bar, or a callable (done, total).
+    better for it (0 with `grid`, and by methods other than minimum curvature, which have none). With `own_heights` lines are compared with the map of the others
+    at the heights that they were flown at, as `map_from_lines(height_m=)` does. `progress` is True for a bar, or a callable (done, total).
     Raises `TooFewSamplesError` where fewer than 20 windows can be made and `InvalidInputError` for options out of their range. Source: geomag's own; the line in
     log-odds is Platt's (1999).
     """
@@ -81,15 +84,20 @@ def learn_errors(
     axes = Axes.of(grid) if grid is not None else Axes.over(lines, spacing)
     step_m = 0.6 * line_spacing
 
-    def gridded(parted: list[tuple[list[Lines], list[Lines], list[Window]]], smoothing: float) -> list[Fold]:
+    drape = Drape.under(lines, axes, method) if own_heights else None
+
+    def gridded(parted: list[tuple[list[Lines], list[Lines], list[Lines]]], smoothing: float) -> list[Fold]:
         weight = weight_of(lines, axes, smoothing, line_spacing)
         out = []
-        for kept, left, windows in parted:
-            out.append(Fold.of(kept, left, windows, axes, method, line_spacing, weight, steps.within(1.0)))
+        for one, left, over in parted:
+            kept, seen = (one, over) if drape is None else drape.brought(one, over, weight)
+            windows = windows_of(seen, step_m, WINDOW)
+            missing = seen if left else []
+            out.append(Fold.of(kept, missing, windows, axes, method, line_spacing, weight, steps.within(1.0)))
             steps.add(1.0)
         return out
 
-    whole = [(kept, left, windows_of(left, step_m, WINDOW)) for kept, left in survey.parted(folds)]
+    whole = [(kept, left, left) for kept, left in survey.parted(folds)]
     found = sum(len(windows_of(left, settings.spacing_m, samples)) for _, left, _ in whole)
     if found < FEWEST_WINDOWS:
         fewest = min(SHORTEST_WINDOW, samples)
@@ -99,9 +107,7 @@ def learn_errors(
     parts = gridded(whole, smoothing_m or 0.0)
     if smoothing_m is None and grid is None and method == "minimum_curvature":
         kept = without_stretches(survey.pieces, step_m, min(axes.cell, 0.5 * step_m))
-        thinned: list[tuple[list[Lines], list[Lines], list[Window]]] = [
-            (kept, [], windows_of(survey.pieces, step_m, WINDOW))
-        ]
+        thinned: list[tuple[list[Lines], list[Lines], list[Lines]]] = [(kept, [], survey.pieces)]
         if any(part.windows for part in parts[:DECIDING]):
             smoothing_m = choose_smoothing(
                 parts[:DECIDING],

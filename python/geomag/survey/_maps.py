@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import GridMap, _distance_to_data
+from geomag._geomag import GridMap, MapStack, _distance_to_data
 from geomag._ranges import above
+from geomag.continuation import continue_to
 from geomag.survey._folds import REACH
+from geomag.survey._heights import Drape
 from geomag.survey._learn import learn_errors
 from geomag.survey._lines import Array, Lines
 from geomag.survey._model import ErrorModel, Law, sigma_of
@@ -117,9 +120,43 @@ def with_line_spacing(grid: GridMap, line_spacing_m: float) -> GridMap:
     return _carrying(grid, values, model.displacement * gradient * distance, distance, model)
 
 
+class _Options(TypedDict, total=False):
+    """Options of `map_from_lines` beside the height, which decides what is returned."""
+
+    spacing: float | tuple[float, float] | None
+    grid: GridMap | None
+    method: str
+    smoothing_m: float | None
+    max_distance_m: float | None
+    model: ErrorModel | None
+    spacing_m: float | None
+    half_width_m: float | None
+    tolerance_m: float | None
+    samples: int
+    folds: int | None
+    seed: int
+    progress: Progress
+
+
+def _require_heights(height_m: object) -> None:
+    try:
+        heights = np.asarray(height_m, dtype=float)
+    except (TypeError, ValueError):
+        heights = np.empty(0)
+    if heights.size == 0 or not np.isfinite(heights).all():
+        raise InvalidInputError(f"height_m: needed a finite height or a sequence of them, got {height_m!r}")
+
+
+@overload
+def map_from_lines(lines: Lines, *, height_m: None = None, **options: Unpack[_Options]) -> GridMap: ...
+@overload
+def map_from_lines(lines: Lines, *, height_m: float, **options: Unpack[_Options]) -> GridMap: ...
+@overload
+def map_from_lines(lines: Lines, *, height_m: Sequence[float] | Array, **options: Unpack[_Options]) -> MapStack: ...
 def map_from_lines(
     lines: Lines,
     *,
+    height_m: float | Sequence[float] | Array | None = None,
     spacing: float | tuple[float, float] | None = None,
     grid: GridMap | None = None,
     method: str = "minimum_curvature",
@@ -133,12 +170,15 @@ def map_from_lines(
     folds: int | None = None,
     seed: int = 0,
     progress: Progress = None,
-) -> GridMap:
+) -> GridMap | MapStack:
     """Survey lines to a map with its sigma and error model, in one call.
 
     Parameters
     ----------
     lines : the survey (see `Lines`, `read_lines`).
+    height_m : height of the map, or heights of a stack, metres above the datum of the lines' own heights: each reading is brought from its
+        height to the surface that the lines lie about, errors are learnt from lines left out at theirs, and the map of that surface is continued. By
+        default heights are passed over, and the map says none.
     spacing : node spacing in map units, one number or (x, y); an eighth of the line spacing by default, coarser for a
         map of over 1.5 million nodes.
     grid : a map already made from these lines; it is kept as it is and given its errors.
@@ -160,6 +200,10 @@ def map_from_lines(
         raise InvalidInputError(
             f"model: needed one without smoothing for method '{method}', got {model.smoothing_m:g} m"
         )
+    if height_m is not None and grid is not None:
+        raise InvalidInputError("height_m: needed lines that are gridded here, got a grid beside them")
+    if height_m is not None:
+        _require_heights(height_m)
     if model is None:
         model = learn_errors(
             lines,
@@ -173,6 +217,7 @@ def map_from_lines(
             samples=samples,
             folds=folds,
             seed=seed,
+            own_heights=height_m is not None,
             progress=progress,
         )
         progress = None
@@ -181,8 +226,10 @@ def map_from_lines(
         weight = weight_of(lines, axes, model.smoothing_m, model.line_spacing_m)
         reach = 2.5 * model.line_spacing_m if max_distance_m is None else max_distance_m
         steps = Steps(progress, 1.0)
+        drape = None if height_m is None else Drape.under(lines, axes, method)
+        flown = [lines] if drape is None else drape.brought([lines], [], weight)[0]
         surface, distance = grid_lines(
-            [lines], axes, method, weight, reach + 1.5 * model.line_spacing_m, steps.within(1.0)
+            flown, axes, method, weight, reach + 1.5 * model.line_spacing_m, steps.within(1.0)
         )
         xs, ys = axes.coordinates()
         grid = GridMap(
@@ -190,7 +237,9 @@ def map_from_lines(
             xs,
             ys,
             geographic=lines.geographic,
+            height_m=None if drape is None else drape.height_m,
             name=lines.name,
             units=lines.unit,
         )
-    return with_errors(grid, lines, model)
+    out = with_errors(grid, lines, model)
+    return out if height_m is None else continue_to(out, height_m)

@@ -14,6 +14,8 @@ use crate::track::Track;
 
 /// Share of a cell by which heights may differ from a map's level without being another height.
 const SAME_LEVEL: f64 = 1e-3;
+/// Share of a cell by which heights may differ and still be one level, for whoever knows no more than one.
+const ONE_LEVEL: f64 = 0.1;
 
 /// Levels of one map, lowest first: the same nodes at different heights.
 ///
@@ -319,9 +321,15 @@ pub fn read_heights(served: &[Served<'_>], track: &Track) -> Option<[f64; 2]> {
 /// # Errors
 /// [`Error::Invalid`] for a track with heights over a map without.
 pub fn continuation_needed(map: &GridMap, track: &Track) -> Result<Option<[f64; 2]>> {
-    let Some([low, high]) = track.height_m().and_then(extent) else { return Ok(None) };
-    let [east, north] = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
-    let same = SAME_LEVEL * (map.x().step() * east).min(map.y().step() * north);
+    heights_needed(map, track.height_m().and_then(extent))
+}
+
+/// [`continuation_needed`] for readings between a lowest and a greatest height, `None` where nobody said.
+///
+/// # Errors
+/// As [`continuation_needed`].
+pub fn heights_needed(map: &GridMap, heights_m: Option<[f64; 2]>) -> Result<Option<[f64; 2]>> {
+    let Some([low, high]) = heights_m else { return Ok(None) };
     match map.height() {
         None => Err(Error::invalid(
             "map height_m",
@@ -329,10 +337,51 @@ pub fn continuation_needed(map: &GridMap, track: &Track) -> Result<Option<[f64; 
             format!("none; the track is at {low} to {high} m"),
         )),
         Some(MapHeight::Level(level)) => {
+            let same = SAME_LEVEL * smaller_cell_m(map);
             Ok(((low - level).abs() > same || (high - level).abs() > same).then_some([low, high]))
         }
         Some(MapHeight::Drape(_)) => Ok(Some([low, high])),
     }
+}
+
+/// The smaller side of a cell at the middle of a field, metres.
+fn smaller_cell_m(map: &GridMap) -> f64 {
+    let [east, north] = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
+    (map.x().step() * east).min(map.y().step() * north)
+}
+
+/// Whether readings between two heights may be taken as those of one level: within a tenth of a cell.
+pub fn is_one_level(cell_m: f64, [low, high]: [f64; 2]) -> bool {
+    high - low <= ONE_LEVEL * cell_m
+}
+
+/// Checks that a map of one level is that of a reading, for whoever follows one level only.
+///
+/// # Errors
+/// [`Error::Invalid`] for a map at another height, or at none that is known.
+pub fn require_level(map: &GridMap, height_m: f64) -> Result<()> {
+    match map.height() {
+        Some(MapHeight::Level(level))
+            if is_one_level(smaller_cell_m(map), [level.min(height_m), level.max(height_m)]) =>
+        {
+            Ok(())
+        }
+        Some(MapHeight::Level(level)) => Err(Error::invalid(
+            "height_m",
+            format!("the map's own level of {level} m, the one that is followed"),
+            height_m,
+        )),
+        Some(MapHeight::Drape(_)) => Err(Error::invalid("map", "a map on a level", "one on a draped surface")),
+        None => heights_needed(map, Some([height_m; 2])).map(|_| ()),
+    }
+}
+
+/// Whether a field can say what is read at a height; `None` where the height was not told.
+///
+/// # Errors
+/// [`Error::Invalid`] where heights are told on one side only and matter, or a map of one level is at another.
+pub fn check_height(field: &dyn Field, height_m: Option<f64>) -> Result<()> {
+    check_extent(field, height_m.map(|h| [h; 2]))
 }
 
 /// Whether a field serves a track at its heights.
@@ -340,19 +389,24 @@ pub fn continuation_needed(map: &GridMap, track: &Track) -> Result<Option<[f64; 
 /// # Errors
 /// [`Error::Invalid`] where heights are told on one side only and matter, or lie outside what the field knows.
 pub fn check_heights(field: &dyn Field, track: &Track) -> Result<()> {
-    if let Some(stack) = field.as_stack() {
-        let Some(heights) = track.height_m() else {
-            let [low, high] = stack.range();
-            return Err(Error::invalid(
-                "track height_m",
-                format!("the heights of the track, for the map is a stack of levels from {low} to {high} m"),
-                "none",
-            ));
-        };
-        return stack.storeys(heights).map(|_| ());
+    check_extent(field, track.height_m().and_then(extent))?;
+    if let (Some(stack), Some(heights)) = (field.as_stack(), track.height_m()) {
+        stack.storeys(heights)?;
+    }
+    Ok(())
+}
+
+fn check_extent(field: &dyn Field, heights_m: Option<[f64; 2]>) -> Result<()> {
+    if let (Some(stack), None) = (field.as_stack(), heights_m) {
+        let [low, high] = stack.range();
+        return Err(Error::invalid(
+            "track height_m",
+            format!("the heights of the track, for the map is a stack of levels from {low} to {high} m"),
+            "none",
+        ));
     }
     if let Some(map) = field.as_grid()
-        && let Some([low, high]) = continuation_needed(map, track)?
+        && let Some([low, high]) = heights_needed(map, heights_m)?
     {
         let own = match map.height() {
             Some(MapHeight::Level(level)) => format!("its own level of {level} m"),

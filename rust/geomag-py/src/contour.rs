@@ -24,7 +24,7 @@ use crate::fix::PyFix;
 use crate::grid::{PyGridMap, interpolation};
 use crate::lock::Shared;
 use crate::long_call;
-use crate::stack::{level_for, same_map};
+use crate::stack::{level_at, level_for, same_map};
 use crate::track::PyTrack;
 
 fn grid_map(what: &str, object: &Bound<'_, PyAny>) -> PyRes<Arc<GridMap>> {
@@ -369,14 +369,17 @@ fn work(options: &ContourOptions, samples: usize, channels: usize) -> u64 {
 ///
 /// Parameters
 /// ----------
-/// grid : GridMap
-///     The map.
+/// grid : GridMap or MapStack
+///     The map; a stack needs `height_m`.
 /// length : int
 ///     Samples in the window.
 /// sigma : float, optional
 ///     Standard deviation of a measured value.
 /// floor_m : float
 ///     Least contour distance that the averaging believes, metres.
+/// height_m : float, optional
+///     Height of the vehicle above the map's height datum: a map at another one is continued to it, a stack is read at it. Contours
+///     are those of one level; samples more than a tenth of a cell from it are refused.
 /// **options
 ///     As for `match_contour` (transform, radius_m, refine, priors, ...); `starts` is for the first window, and after a
 ///     loss.
@@ -415,8 +418,8 @@ fn point_dict<'py>(py: Python<'py>, p: &AveragedPoint) -> PyRes<Bound<'py, PyDic
 impl PySlidingContour {
     #[new]
     #[pyo3(
-        signature = (grid, *, length, sigma = None, floor_m = 10.0, **options),
-        text_signature = "(grid, *, length, sigma=None, floor_m=10.0, transform='rigid', radius_m=None, \
+        signature = (grid, *, length, sigma = None, floor_m = 10.0, height_m = None, **options),
+        text_signature = "(grid, *, length, sigma=None, floor_m=10.0, height_m=None, transform='rigid', radius_m=None, \
             starts='indicated', refine=False, stiffness=0.0, tolerance_m=1.0, max_iterations=300, min_points=None, acceleration=0, \
             max_rotation_deg=None, offset_sigma_m=None, heading_sigma_deg=None, scale_sigma=None, bias_sigma=None, \
             interpolation='bicubic', map_correlation_m=None, min_overlap=0.8, fix_radius_m=None, max_risk=0.01, \
@@ -427,17 +430,22 @@ impl PySlidingContour {
         length: usize,
         sigma: Option<f64>,
         floor_m: f64,
+        height_m: Option<f64>,
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyRes<Self> {
+        let level = height_m.map(|h| level_at("grid", grid, h)).transpose()?.map(Bound::into_any);
+        let grid = level.as_ref().unwrap_or(grid);
         let map = grid_map("grid", grid)?;
         let options = contour_options(&map, options)?;
         let state = SlidingState::new(length, sigma, floor_m, options)?;
         Ok(Self { inner: Shared::new(SlidingContour::new(map, state)), grid: grid.clone().unbind() })
     }
 
-    /// Take one sample: indicated position (map units) and measured value. Returns a `Fix`; `searching` until full.
-    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64) -> PyRes<PyFix> {
-        let step = self.inner.take(py, &Sample { place: [x, y], value, height_m: None })?;
+    /// Take one sample: indicated position (map units), measured value, and height where it is known, which must be that of the map.
+    /// Returns a `Fix`; `searching` until full.
+    #[pyo3(signature = (x, y, value, height_m = None))]
+    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyFix> {
+        let step = self.inner.take(py, &Sample { place: [x, y], value, height_m })?;
         Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
     }
 

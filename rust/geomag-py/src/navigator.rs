@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use geomag_core::error::Error;
+use geomag_core::error::{Error, require_finite};
 use geomag_core::grid::Interpolation;
 use geomag_core::kalman::Scaling;
 use geomag_core::navigation::field_navigator::{FieldNavigator, Method, NavigatorOptions, NavigatorStep};
 use geomag_core::navigation::sensing::{Sensing, Sensor};
+use geomag_core::stack::check_height;
 use numpy::{PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
@@ -14,14 +15,15 @@ use pyo3::types::{PyBytes, PyTuple};
 use crate::arrays::{broadcast, matrix, pair, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::grid::{field, interpolation};
-use crate::harmonic::{PyHarmonicModel, main_vector, quantity};
+use crate::harmonic::{PyHarmonicMap, PyHarmonicModel, main_vector, quantity};
 use crate::lock::Shared;
+use crate::stack::level_at;
 
 /// What a sensor reads of a field at a place.
 ///
 /// Parameters
 /// ----------
-/// source : RectangularHarmonicModel, GridMap or HarmonicMap
+/// source : RectangularHarmonicModel, GridMap, MapStack or HarmonicMap
 ///     The field.
 /// reading : {'vector', 'north', 'east', 'down', 'projection', 'anomaly', 'intensity'}, optional
 ///     What is measured of a harmonic model, 'vector' by default; maps give their own value and take none of these.
@@ -29,7 +31,8 @@ use crate::lock::Shared;
 ///     Main field (north, east, down in the model's frame) for the last three readings.
 /// down_m, height_m : float, optional
 ///     Level in a harmonic model: a plane of its frame (places are then x east, y north, metres; 0 by default) or a
-///     height above its Earth (places are then degrees).
+///     height above its Earth (places are then degrees). Of a map, `height_m` is the height of the sensor above the map's datum, to which
+///     a map at another one is continued; a stack needs it. A vehicle that climbs is for `Navigator`.
 /// interpolation : {'bicubic', 'bilinear'}
 ///     How a grid is read.
 ///
@@ -85,10 +88,20 @@ impl PyFieldSensor {
             if let Some(reading) = reading {
                 return Err(invalid("reading", "none with a map, which gives its own value", format!("'{reading}'")));
             }
-            if down_m.is_some() || height_m.is_some() || main_field.is_some() {
-                return Err(invalid("down_m, height_m, main_field", "none of them with a map", "a level"));
+            if down_m.is_some() || main_field.is_some() {
+                return Err(invalid("down_m, main_field", "none of them with a map", "a level"));
             }
-            Sensing::map(field(source)?, method)
+            let field = match height_m {
+                Some(height) if source.cast::<PyHarmonicMap>().is_ok() => {
+                    require_finite("height_m", &[height])?;
+                    let known = field(source)?;
+                    known.between(height, height)?.map_or(known, Arc::from)
+                }
+                Some(height) => level_at("source", source, height)?.get().inner.clone(),
+                None => field(source)?,
+            };
+            check_height(field.as_ref(), None)?;
+            Sensing::map(field, method)
         };
         Ok(Self {
             inner,
@@ -253,7 +266,7 @@ impl PyNavigatorStep {
 ///
 /// Parameters
 /// ----------
-/// model : RectangularHarmonicModel, GridMap, HarmonicMap or FieldSensor
+/// model : RectangularHarmonicModel, GridMap, MapStack, HarmonicMap or FieldSensor
 ///     The field, or what is read of it.
 /// start : (float, float)
 ///     Start (x, y): metres east and north, or degrees on geographic fields.

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use geomag_core::error::require_finite;
 use geomag_core::field::Field;
 use geomag_core::grid::GridMap;
-use geomag_core::stack::{MapStack, continuation_needed, extent};
+use geomag_core::stack::{MapStack, continuation_needed, extent, heights_needed, is_one_level};
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -142,12 +143,20 @@ impl PyMapStack {
 
 /// The field that serves tracks at their heights: a map that is at another height is continued to theirs, once for all.
 pub fn field_for<'a>(object: &Bound<'_, PyAny>, tracks: impl IntoIterator<Item = &'a Track>) -> PyRes<Arc<dyn Field>> {
+    field_over(object, tracks.into_iter().map(|track| track.height_m().and_then(extent)))
+}
+
+/// The field that serves readings between lowest and greatest heights, `None` for those that are taken to be at the map's own.
+pub fn field_over(
+    object: &Bound<'_, PyAny>,
+    heights_m: impl IntoIterator<Item = Option<[f64; 2]>>,
+) -> PyRes<Arc<dyn Field>> {
     let Ok(grid) = object.cast::<PyGridMap>() else { return field(object) };
     let map: &GridMap = &grid.get().inner;
     let mut needed: Option<[f64; 2]> = None;
     let mut at_own = false;
-    for track in tracks {
-        if let Some([low, high]) = continuation_needed(map, track)? {
+    for heights in heights_m {
+        if let Some([low, high]) = heights_needed(map, heights)? {
             needed = Some(needed.map_or([low, high], |[a, b]| [a.min(low), b.max(high)]));
         } else {
             at_own = true;
@@ -158,18 +167,32 @@ pub fn field_for<'a>(object: &Bound<'_, PyAny>, tracks: impl IntoIterator<Item =
     field(&continuation.getattr("_stack_for")?.call1((object, low, high, at_own))?)
 }
 
-/// Share of a cell by which the heights of a track may differ and still be one level.
-const ONE_LEVEL: f64 = 0.1;
+/// The map at one height: itself where it is there, else continued or taken out of its stack.
+pub fn level_at<'py>(what: &str, object: &Bound<'py, PyAny>, height_m: f64) -> PyRes<Bound<'py, PyGridMap>> {
+    require_finite("height_m", &[height_m])?;
+    let py = object.py();
+    if let Ok(stack) = object.cast::<PyMapStack>() {
+        return Ok(Bound::new(py, stack.get().at(py, height_m)?)?);
+    }
+    let Ok(grid) = object.cast::<PyGridMap>() else {
+        return Err(invalid(what, "a geomag.GridMap or MapStack", object.get_type().name()?));
+    };
+    if heights_needed(&grid.get().inner, Some([height_m; 2]))?.is_none() {
+        return Ok(grid.clone());
+    }
+    let stack = py.import("geomag.continuation")?.getattr("_stack_for")?.call1((object, height_m, height_m, false))?;
+    let stack = stack.cast::<PyMapStack>().map_err(PyErr::from)?;
+    Ok(Bound::new(py, stack.get().at(py, height_m)?)?)
+}
 
 /// The one level that serves a track, for matchers that follow the contours of one map.
 pub fn level_for(what: &str, object: &Bound<'_, PyAny>, track: &Track) -> PyRes<Arc<GridMap>> {
-    let py = object.py();
     let one = |field: &dyn Field| -> PyRes<f64> {
         let y = track.newest()[1];
         let [east, north] = field.metres_per_unit(y);
         let [dx, dy] = field.spacing();
         match track.height_m().and_then(extent) {
-            Some([low, high]) if high - low <= ONE_LEVEL * (dx * east).min(dy * north) => Ok(0.5 * (low + high)),
+            Some(heights) if is_one_level((dx * east).min(dy * north), heights) => Ok(0.5 * (heights[0] + heights[1])),
             Some([low, high]) => {
                 let got = format!("heights from {low} to {high} m");
                 Err(invalid("track height_m", "one height, for contours are those of one level", got))
@@ -178,8 +201,7 @@ pub fn level_for(what: &str, object: &Bound<'_, PyAny>, track: &Track) -> PyRes<
         }
     };
     if let Ok(stack) = object.cast::<PyMapStack>() {
-        let stack = &stack.get().inner;
-        return Ok(Arc::new(stack.at(one(&**stack)?)?));
+        return Ok(level_at(what, object, one(&*stack.get().inner)?)?.get().inner.clone());
     }
     let Ok(grid) = object.cast::<PyGridMap>() else {
         return Err(invalid(what, "a geomag.GridMap or MapStack", object.get_type().name()?));
@@ -188,10 +210,7 @@ pub fn level_for(what: &str, object: &Bound<'_, PyAny>, track: &Track) -> PyRes<
     if continuation_needed(map, track)?.is_none() {
         return Ok(map.clone());
     }
-    let height = one(&**map)?;
-    let stack = py.import("geomag.continuation")?.getattr("_stack_for")?.call1((object, height, height, false))?;
-    let stack = stack.cast::<PyMapStack>().map_err(PyErr::from)?;
-    Ok(Arc::new(stack.get().inner.at(height)?))
+    Ok(level_at(what, object, one(&**map)?)?.get().inner.clone())
 }
 
 /// Whether a map is the very one behind an object.

@@ -17,6 +17,7 @@ use crate::matching::starts::Starts;
 use crate::matching::stream::{Sample, Step, Stream};
 use crate::matching::transform::Transform;
 use crate::monitor::{Monitor, Quiet};
+use crate::stack::require_level;
 use crate::state::Saved;
 use crate::track::Track;
 
@@ -321,7 +322,11 @@ impl SlidingContour {
 
 impl Stream for SlidingContour {
     fn take(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<Step> {
-        let Sample { place: [x, y], value, .. } = *sample;
+        let Sample { place: [x, y], value, height_m } = *sample;
+        if let Some(height) = height_m {
+            require_finite("height_m", &[height])?;
+            require_level(&self.map, height)?;
+        }
         let fix = self.state.update_monitored(&self.map, x, y, value, monitor)?;
         self.newest = Some(fix.clone());
         Ok(Step { status: fix.status, fix: Some(fix) })

@@ -1,6 +1,7 @@
 //! Whole flights.
 
 use geomag_core::navigation::navigator::{Flight, NavigatorStep, Smoothing, navigate};
+use geomag_core::stack::extent;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -8,8 +9,8 @@ use super::keywords;
 use super::log::Log;
 use crate::arrays::{matrix, shaped};
 use crate::error::PyRes;
-use crate::grid::field;
 use crate::long_call;
+use crate::stack::field_over;
 
 /// Columns of a flight by name.
 fn columns<'py>(py: Python<'py>, flight: &Flight) -> PyRes<Bound<'py, PyDict>> {
@@ -60,8 +61,6 @@ pub fn py_navigate<'py>(
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyRes<Bound<'py, PyDict>> {
     let options = keywords::options(options)?;
-    let field = field(grid)?;
-    let geographic = field.geographic();
     let column = |name: &str| log.get_item(name).map(|v| v.filter(|v| !v.is_none()));
     let [velocity_m_s, heading_deg, height_m, readings] =
         [column("velocity_m_s")?, column("heading_deg")?, column("height_m")?, column("readings")?];
@@ -76,6 +75,8 @@ pub fn py_navigate<'py>(
         height_m.as_ref(),
         readings.as_ref(),
     )?;
+    let field = field_over(grid, [log.height_m.as_deref().and_then(extent)])?;
+    let geographic = field.geographic();
     log.terms = terms.map(|t| matrix("terms", &t).map(|t| t.0)).transpose()?;
     let smoothing = match lag_s {
         None => Smoothing::No,

@@ -14,6 +14,8 @@ const PRUNE: f64 = 12.0;
 const PRUNE_STREAM: f64 = 28.0;
 /// Most cells that survive a stage.
 const SURVIVORS: usize = 6000;
+/// Share of the tolerance from which so many cells cover several tolerances: what lies along a valley is then no one place.
+const FINE: f64 = 1.0 / 32.0;
 /// Risk over the first lattice from which a sequence that goes on is not searched any closer.
 const HOPELESS: f64 = 0.15;
 /// Modes that the last lattice has to resolve, and how far in the logarithm below the best they may lie.
@@ -111,10 +113,13 @@ impl Problem<'_> {
             self.narrow(&mut scopes, &reference, &bounds, &bounded);
             // A posterior that is wider than the tolerance and that this lattice resolves needs no finer one to say so.
             let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
-            if resolved && kept.len() > BROAD || coarse && stages > 1 {
-                let mut posterior = self.density(kept.clone(), step, &scopes);
+            // A valley that is straight and narrower than can be resolved over its length would lose all of it but an end.
+            let valley = kept.len() >= SURVIVORS && self.longest_m(step) <= FINE * self.tolerance_m;
+            if (resolved || valley) && kept.len() > BROAD || coarse && stages > 1 {
+                let here = if valley { select(&offsets, &excess, PRUNE, usize::MAX) } else { kept.clone() };
+                let mut posterior = self.density(here, step, &scopes);
                 if coarse && self.hopeless(&posterior, step[0] / first_step)
-                    || resolved && self.near_mode(&posterior) < 0.5
+                    || (resolved || valley) && self.near_mode(&posterior) < 0.5
                 {
                     posterior.stages = stages + 1;
                     return (posterior, kept_for_later);
@@ -132,9 +137,9 @@ impl Problem<'_> {
         let mut posterior = self.density(offsets, step, &scopes);
         // Where the mode turned out narrower than the reference said.
         while let Some(coarse) = self.too_coarse(&posterior) {
-            let kept = posterior.survivors(PRUNE, SURVIVORS);
+            let kept = posterior.survivors(PRUNE, SURVIVORS + 1);
             // A rival that is narrower than a broad answer is not worth a fine lattice over all of that.
-            if kept.is_empty() || coarse == Coarse::Rival && kept.len() > MANY {
+            if kept.is_empty() || kept.len() > SURVIVORS || coarse == Coarse::Rival && kept.len() > MANY {
                 break;
             }
             let finer = posterior.step.map(|s| 0.5 * s);

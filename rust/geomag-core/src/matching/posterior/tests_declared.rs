@@ -252,3 +252,23 @@ fn a_bias_that_steps_at_a_turn_is_named_and_may_be_told() {
     assert!(wrong <= 1, "{wrong} wrong, {named} named");
     assert!(fixed >= 28, "{fixed} of 40 fixed when told");
 }
+
+/// A field that does not change one way tells nothing that way, however exactly it is read: a valley narrower than any lattice
+/// can follow over its length is no place.
+#[test]
+fn a_straight_valley_is_no_fix_at_any_noise() {
+    let fields: [fn(f64, f64) -> f64; 3] =
+        [|x, _| 40.0 * (x / 6000.0).sin(), |_, y| 40.0 * (y / 5000.0).cos(), |x, y| 40.0 * ((x + y) / 8000.0).sin()];
+    for field in fields {
+        let map = coarse(field).with_sigma(Some(MapSigma::Constant(0.0))).unwrap();
+        let read = |x: f64, y: f64| map.sample(x, y, Interpolation::Bilinear);
+        for sigma in [0.0, 1e-5, 1e-3] {
+            for seed in 0..2 {
+                let (track, _) = flight(&read, 12, 700.0, sigma, 30.0, seed);
+                let own = PosteriorOptions { tolerance_m: Some(900.0), ..PosteriorOptions::new([8000.0; 2]) };
+                let fix = match_posterior(&map, &track, Some(sigma), &own).unwrap();
+                assert!(fix.status != Status::Fixed && fix.risk.is_none_or(|r| r > 0.3), "{sigma} {seed} {fix:?}");
+            }
+        }
+    }
+}

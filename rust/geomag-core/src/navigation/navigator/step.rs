@@ -7,6 +7,7 @@ use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION};
 use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite};
+use crate::stack::check_height;
 
 /// Longest time between two steps, seconds.
 const LONGEST_GAP_S: f64 = 86_400.0;
@@ -66,6 +67,7 @@ impl Navigator {
         if let Some(height) = height_m {
             require_finite("height_m", &[height])?;
         }
+        check_height(self.field.as_ref(), height_m)?;
         let geographic = self.field.geographic();
         if geographic && y.abs() > MOST_LATITUDE_DEG {
             return Err(Error::invalid(
