@@ -104,8 +104,8 @@ def convergence_deg(crs: str, longitude: ArrayLike, latitude: ArrayLike) -> NDAr
     Examples
     --------
     >>> from geomag.projection import convergence_deg
-    >>> convergence_deg("EPSG:32632", [9.0, 12.0], [45.0, 45.0]).round(3)
-    array([0.   , 2.122])
+    >>> convergence_deg("EPSG:32632", [10.5, 12.0], [45.0, 45.0]).round(3)
+    array([1.061, 2.122])
     """
     lon, lat = np.broadcast_arrays(np.asarray(longitude, dtype=float), np.asarray(latitude, dtype=float))
     if _crs(crs).is_geographic:

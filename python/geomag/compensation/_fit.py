@@ -179,7 +179,7 @@ def crust_along(
     if height_m is None:
         if isinstance(grid, MapStack):
             raise InvalidInputError("compensation crust: needed (stack, x, y, height_m), got no heights")
-        return np.asarray(grid.sample(px, py, method="bicubic"), dtype=float)
+        return np.asarray(grid.sample(px, py, interpolation="bicubic"), dtype=float)
     height = np.broadcast_to(np.asarray(height_m, dtype=float), (n,))
     if not np.isfinite(height).all():
         raise NotFiniteError("compensation crust height_m: needed finite heights, got NaN or infinity")

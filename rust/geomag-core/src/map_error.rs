@@ -89,7 +89,7 @@ impl Lapses {
 
     /// The risk of an answer on a track of this length that has a risk of `risk` on one as long as those learnt on.
     pub fn risk(&self, risk: f64, length_m: f64) -> f64 {
-        1.0 - (1.0 - risk) * (1.0 - self.of(length_m))
+        risk + (1.0 - risk) * self.of(length_m)
     }
 }
 
