@@ -52,7 +52,7 @@ BINARY_GRIDS = [
 #: What people and programs put into text.
 WORDS = [b",", b";", b"\t", b" ", b"\n", b"\r\n", b"*", b"nan", b"-", b"99999", b"-1e32", b"1e400", b"#", b"/", b'"', b"\0", b"\xff", b"\xef\xbb\xbf",
          b"1_0", b"inf", b"0x10", b"1,5", b"12:00:00", b"2026-01-01", b"05/06/2026", b"lat", b"lon", b"x", b"time", b"(deg)", b"_km", b"mag_nT", b"Line 1", b"-0", b"1.7e15"]  # fmt: skip
-NUMBERS = [re.compile(rf"[+-]?(?:\d+(?:{point}\d*)?|{point}\d+)(?:[eEdD][+-]?\d{{1,3}})?") for point in (r"\.", ",")]
+NUMBERS = [re.compile(rf"[+-]?(?:\d+(?:{point}\d*)?|{point}\d+)(?:[eEdD][+-]?\d{{1,4}})?") for point in (r"\.", ",")]
 FACTORS = sorted({1.0, *METRES.values(), *(f for _, f in FIELD.values())})
 
 

@@ -15,7 +15,7 @@ import fuzzing  # noqa: E402 - after the libraries that it needs
 LONG = 200 if "GEOMAG_LONG" in os.environ else 1
 #: Kind and seed of inputs that once ended in anything but an error of ours or the numbers of the file.
 FOUND = [("binary", 157), ("binary", 325), ("text", 26712), ("text", 28429), ("text", 33459), ("grid", 41803), ("esri", 74778),
-         ("lines", 18189), ("mgd77", 13199)]  # fmt: skip
+         ("lines", 18189), ("mgd77", 13199), ("mgd77", 45426), ("log", 525132), ("gxf", 5001), ("gxf", 32779)]  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", [*fuzzing.TEXT, *fuzzing.GRIDS])
