@@ -189,12 +189,14 @@ pub fn flight(data: &[u8]) {
     let s = &mut Source::new(data);
     let Some(field) = maps::field(s) else { return };
     let mut options = options(s, field.as_ref());
-    if s.one_in(8) {
-        options.method = Method::Rbpf;
-    }
+    let particles = s.one_in(32);
     let mut vehicle = Vehicle::new(s);
     let n = s.below(10);
     let steps: Vec<Indicated> = (0..n).map(|_| vehicle.next(s, field.as_ref())).collect();
+    // A thousand particles are carried on in pieces of five seconds: gaps of days are no matter of milliseconds.
+    if particles && steps.windows(2).all(|w| w[1].time_s - w[0].time_s < 600.0) {
+        options.method = Method::Rbpf;
+    }
     let column = |get: fn(&Indicated) -> f64| steps.iter().map(get).collect::<Vec<f64>>();
     let (time_s, x, y) = (column(|i| i.time_s), column(|i| i.x), column(|i| i.y));
     let readings = column(|i| i.value.unwrap_or(f64::NAN));

@@ -13,6 +13,8 @@ pub const MOST_LONGITUDE_DEG: f64 = 3600.0;
 /// Greatest size of a value, of a map or a reading, in whatever unit: the Earth's field in femtotesla is 5e10. Blanks of old formats
 /// lie beyond, and squares within are numbers in single precision.
 pub const MOST_VALUE: f64 = 1e15;
+/// Most that a length can be stretched by.
+pub const MOST_SCALE: f64 = 1e3;
 /// Least spacing of an axis and least step of a lattice, map units: positions in cells of it are whole numbers that a double holds.
 pub const LEAST_STEP: f64 = 1e-7;
 
@@ -97,12 +99,41 @@ pub fn require_distance_m(what: &str, value: f64) -> Result<f64> {
     }
 }
 
-/// Refuses an extent or a step of a search that is longer than the Earth.
+/// Refuses an extent or a step of a search that is longer than the Earth, or shorter than a lattice resolves ([`LEAST_STEP`]) and not zero.
 ///
 /// # Errors
 /// [`Error::Invalid`].
 pub fn require_extent(what: &str, value: f64) -> Result<()> {
-    require(|| what.to_owned(), value, 2.0 * FARTHEST_M, "an extent")
+    require(|| what.to_owned(), value, 2.0 * FARTHEST_M, "an extent")?;
+    if value == 0.0 || value.abs() >= LEAST_STEP {
+        Ok(())
+    } else {
+        Err(Error::invalid(what, format!("an extent of at least {LEAST_STEP} map units"), value))
+    }
+}
+
+/// Refuses a factor by which lengths are stretched that no odometer and no map has.
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_scale(what: &str, value: f64) -> Result<f64> {
+    if (1.0 / MOST_SCALE..=MOST_SCALE).contains(&value) {
+        Ok(value)
+    } else {
+        Err(Error::invalid(what, format!("a scale from {} to {MOST_SCALE}", 1.0 / MOST_SCALE), value))
+    }
+}
+
+/// Refuses a number that must be above zero and that a value of the field is measured in: see [`require_values`].
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_quantum(what: &str, value: f64) -> Result<f64> {
+    if value > 0.0 && value <= MOST_VALUE {
+        Ok(value)
+    } else {
+        Err(Error::invalid(what, format!("a number > 0, at most {MOST_VALUE}"), value))
+    }
 }
 
 #[cfg(test)]
@@ -121,6 +152,9 @@ mod tests {
         assert_eq!(pole, "sample y: needed a latitude (degrees) within +-90, got 90.1");
         assert!(matches!(require_place("sample", true, [f64::NAN, 0.0]), Err(Error::NotFinite { .. })));
         assert!(require_extent("half_width x", 1e9).is_err());
+        assert!(require_extent("half_width x", 8.9e-157).is_err() && require_extent("half_width x", 0.0).is_ok());
+        assert!(require_scale("scale", 9.97e36).is_err() && require_scale("scale", 0.0).is_err());
+        assert!(require_scale("scale", 0.9).is_ok());
         let blank = require_values("track values", &[1.0, -1e32]).unwrap_err().to_string();
         assert_eq!(
             blank,

@@ -71,6 +71,24 @@ fn checksum(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |sum, b| (sum ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
 }
 
+/// A matrix in a saved state, for `#[serde(with)]`: nalgebra multiplies the shape that the bytes tell without asking whether it can.
+pub(crate) mod matrix {
+    use nalgebra::DMatrix;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    pub fn serialize<S: Serializer>(matrix: &DMatrix<f64>, to: S) -> Result<S::Ok, S::Error> {
+        (matrix.as_slice(), matrix.nrows(), matrix.ncols()).serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Error> {
+        let (values, rows, columns) = <(Vec<f64>, usize, usize)>::deserialize(from)?;
+        if rows.checked_mul(columns) != Some(values.len()) {
+            return Err(D::Error::custom(format!("a matrix of {rows} x {columns} from {} numbers", values.len())));
+        }
+        Ok(DMatrix::from_vec(rows, columns, values))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use serde::{Deserialize, Serialize};

@@ -1,7 +1,8 @@
 //! What a model is fitted to: components, projections and intensities, mixed, each with its own weight.
 
 use super::Positions;
-use crate::error::{Error, Result, require_finite};
+use crate::bounds::{FARTHEST_M, require_values};
+use crate::error::{Error, Result};
 
 /// What one number was measured of.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -80,8 +81,10 @@ impl Observations {
         if field.len() != n {
             return Err(Error::shape("field", format!("({n}, 3)"), format!("({}, 3)", field.len())));
         }
-        if let Some(i) = field.iter().position(|f| f.iter().any(|c| c.is_infinite())) {
-            return Err(Error::NotFinite { what: "field".into(), index: i, got: f64::INFINITY });
+        for (i, f) in field.iter().enumerate() {
+            for (axis, c) in f.iter().enumerate().filter(|(_, c)| !c.is_nan()) {
+                require_values(&format!("field[{i}, {axis}]"), &[*c])?;
+            }
         }
         let weights = weights(n, sigma)?;
         let first = self.add_points(positions)?;
@@ -149,12 +152,12 @@ impl Observations {
         if values.len() != n {
             return Err(Error::shape("values", format!("({n},)"), format!("({},)", values.len())));
         }
-        require_finite("values", values)?;
+        require_values("values", values)?;
         if main_field.len() != 1 && main_field.len() != n {
             return Err(Error::shape("main_field", format!("(3,) or ({n}, 3)"), format!("({}, 3)", main_field.len())));
         }
         for (i, main) in main_field.iter().enumerate() {
-            require_finite(&format!("main_field[{i}]"), main)?;
+            require_values(&format!("main_field[{i}]"), main)?;
             if super::evaluate::norm(*main) == 0.0 {
                 return Err(Error::invalid(format!("main_field[{i}]"), "a vector of length > 0", "a zero vector"));
             }
@@ -171,8 +174,12 @@ impl Observations {
     fn add_points(&mut self, positions: &Positions<'_>) -> Result<u32> {
         for i in 0..positions.len() {
             let point = positions.at(i);
-            if let Some(bad) = point.iter().find(|c| !c.is_finite()) {
-                return Err(Error::NotFinite { what: "position".into(), index: i, got: *bad });
+            if let Some(bad) = point.iter().find(|c| !(c.abs() <= FARTHEST_M)) {
+                if !bad.is_finite() {
+                    return Err(Error::NotFinite { what: "position".into(), index: i, got: *bad });
+                }
+                let needed = format!("north, east and down within +-{FARTHEST_M} m");
+                return Err(Error::invalid(format!("position[{i}]"), needed, bad));
             }
         }
         let first = self.points.len();

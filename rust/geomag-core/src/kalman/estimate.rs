@@ -30,6 +30,7 @@ const MARGIN: f64 = 1e-14;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     pub(super) mean: DVector<f64>,
+    #[serde(with = "crate::state::matrix")]
     pub(super) factor: DMatrix<f64>,
     pub(super) regularisations: u64,
 }
@@ -40,10 +41,12 @@ pub struct Innovation {
     /// Measured minus expected.
     pub residual: DVector<f64>,
     /// Its covariance, measurement noise included.
+    #[serde(with = "crate::state::matrix")]
     pub covariance: DMatrix<f64>,
     /// Normalised innovation squared: chi-square with as many degrees of freedom as numbers measured.
     pub nis: f64,
     /// Kalman gain.
+    #[serde(with = "crate::state::matrix")]
     pub gain: DMatrix<f64>,
     /// Whether the state was corrected: false where the gate refused the measurement.
     pub accepted: bool,

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_quantum;
 use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
 use crate::monitor::{Monitor, Quiet};
 use crate::state::Saved;
@@ -42,7 +43,7 @@ impl Saved for DeltaModulator {
     const NAME: &'static str = "DeltaModulator";
 
     fn check(&self) -> Result<()> {
-        require_positive("quantum", self.quantum)?;
+        require_quantum("quantum", self.quantum)?;
         if let Some(staircase) = self.staircase {
             require_finite("staircase", &[staircase])?;
         }
@@ -59,7 +60,7 @@ impl DeltaModulator {
     /// # Errors
     /// [`Error::Invalid`] for a quantum that is not positive.
     pub fn new(quantum: f64) -> Result<Self> {
-        require_positive("quantum", quantum)?;
+        require_quantum("quantum", quantum)?;
         Ok(Self { quantum, staircase: None, code: None, count: 0 })
     }
 
@@ -256,7 +257,7 @@ pub fn choose_sequence_monitored(
         return Err(Error::shape("along_m", format!("({n},) as the values"), format!("({},)", along_m.len())));
     }
     require_finite("along_m", along_m)?;
-    require_positive("quantum", rules.quantum)?;
+    require_quantum("quantum", rules.quantum)?;
     require_positive("cell_m", rules.cell_m)?;
     require_not_negative("min_cells", rules.min_cells)?;
     if let Some(i) = along_m.windows(2).position(|w| w[1] < w[0]) {

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result, require_finite};
+use crate::bounds::{require_place, require_spread};
+use crate::error::{Error, Result};
 
 /// Smallest ratio of the spread across a point set to the spread along it that still counts as a plane figure.
 const COLLINEAR: f64 = 1e-6;
@@ -118,16 +119,16 @@ impl Transform {
         if to.len() != n {
             return Err(Error::shape("transform targets", format!("{n} points as the sources"), to.len()));
         }
-        require_finite("transform sources (flattened)", from.as_flattened())?;
-        require_finite("transform targets (flattened)", to.as_flattened())?;
+        for (what, points) in [("transform source", from), ("transform target", to)] {
+            points.iter().enumerate().try_for_each(|(k, p)| require_place(&format!("{what} {k}"), false, *p))?;
+        }
         if let Some(w) = weights {
             if w.len() != n {
                 return Err(Error::shape("transform weights", format!("{n} weights as the sources"), w.len()));
             }
-            require_finite("transform weights", w)?;
-            if let Some(i) = w.iter().position(|&w| w < 0.0) {
-                return Err(Error::invalid(format!("transform weights[{i}]"), "a weight >= 0", w[i]));
-            }
+            w.iter()
+                .enumerate()
+                .try_for_each(|(i, w)| require_spread(&format!("transform weights[{i}]"), *w).map(|_| ()))?;
         }
         let used = weights.map_or(n, |w| w.iter().filter(|&&w| w > 0.0).count());
         if used < kind.min_points() {

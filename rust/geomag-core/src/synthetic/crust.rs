@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-use crate::bounds::{require_place, require_places};
-use crate::error::{Error, Result, require_finite, require_not_negative, require_positive};
+use crate::bounds::{require_distance_m, require_place, require_places, require_spread, require_values};
+use crate::error::{Error, Result, require_finite, require_positive};
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
 use crate::grid::{Axis, GridMap, GridValues};
@@ -168,13 +168,13 @@ impl Saved for SyntheticField {
 
 impl CrustSpec {
     fn check(&self) -> Result<()> {
-        require_finite("crust level", &[self.level])?;
-        require_finite("crust slope_per_m", &self.slope_per_m)?;
-        require_not_negative("crust texture_rms", self.texture_rms)?;
+        require_values("crust level", &[self.level])?;
+        require_values("crust slope_per_m", &self.slope_per_m)?;
+        require_spread("crust texture_rms", self.texture_rms)?;
         require_finite("crust exponent", &[self.exponent])?;
-        require_not_negative("crust height_m", self.height_m)?;
-        require_positive("crust shortest_m", self.shortest_m)?;
-        require_positive("crust longest_m", self.longest_m)?;
+        require_distance_m("crust height_m", self.height_m)?;
+        require_distance_m("crust shortest_m", require_positive("crust shortest_m", self.shortest_m)?)?;
+        require_distance_m("crust longest_m", self.longest_m)?;
         if self.longest_m < self.shortest_m {
             return Err(Error::invalid(
                 "crust longest_m",
@@ -189,9 +189,10 @@ impl CrustSpec {
                 format!("{} and {}", self.waves, self.dipoles),
             ));
         }
-        require_not_negative("crust dipole_peak", self.dipole_peak)?;
+        require_spread("crust dipole_peak", self.dipole_peak)?;
         require_positive("crust dipole_depth_m[0]", self.dipole_depth_m[0])?;
-        if !(self.dipole_depth_m[1] >= self.dipole_depth_m[0] && self.dipole_depth_m[1].is_finite()) {
+        require_distance_m("crust dipole_depth_m[1]", self.dipole_depth_m[1])?;
+        if self.dipole_depth_m[1] < self.dipole_depth_m[0] {
             return Err(Error::invalid(
                 "crust dipole_depth_m[1]",
                 format!("at least {}", self.dipole_depth_m[0]),

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounds::require_scale;
 use crate::error::{Error, Result, require_finite, require_positive, require_weights};
 use crate::grid::Interpolation;
 use crate::lattice::{DEFAULT_MAX_CANDIDATES, Pivot};
@@ -78,7 +79,7 @@ impl GridSearch {
             require_finite(what, list)?;
         }
         for (i, &s) in self.scale.iter().enumerate() {
-            require_positive(&format!("scale[{i}]"), s)?;
+            require_scale(&format!("scale[{i}]"), s)?;
         }
         if self.half_width == [0.0; 2] {
             // Nothing to compare it with: a single offset is neither ambiguous nor at an edge, wherever it is.

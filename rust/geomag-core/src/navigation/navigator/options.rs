@@ -202,7 +202,9 @@ pub(super) fn check_covariance(c: &[[f64; 2]; 2]) -> Result<()> {
     if (c[0][1] - c[1][0]).abs() > 1e-9 * scale {
         return Err(Error::invalid("covariance_m2", "a symmetric matrix", format!("{} and {}", c[0][1], c[1][0])));
     }
-    if c[0][0] < 0.0 || c[1][1] < 0.0 || c[0][0] * c[1][1] - c[0][1] * c[1][0] < -1e-9 * scale * scale {
+    // By the correlation: beside a large variance a small one may be wrong by all of itself.
+    let product = c[0][0].max(0.0) * c[1][1].max(0.0);
+    if c[0][0] < 0.0 || c[1][1] < 0.0 || c[0][1] * c[1][0] > product * (1.0 + 1e-9) {
         return Err(Error::NotPositiveDefinite { what: "covariance_m2".into(), detail: format!("{c:?}") });
     }
     Ok(())
