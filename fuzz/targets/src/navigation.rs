@@ -90,8 +90,13 @@ impl Vehicle {
 
     fn next(&mut self, s: &mut Source<'_>, field: &dyn Field) -> Indicated {
         let (first, cell) = maps::extent(field);
-        let dt = s.one_of(&[1.0, 0.1, 10.0, 0.0, 600.0]);
-        self.time_s += if s.one_in(16) { s.number(-10.0, 1e5) } else { dt };
+        // Hours are carried on in pieces of five seconds, so they come seldom.
+        let dt = s.one_of(&[1.0, 0.1, 10.0, 0.0, 60.0]);
+        self.time_s += match s.byte() {
+            0..2 => s.number(-10.0, 1e5),
+            2..16 => s.number(-10.0, 600.0),
+            _ => dt,
+        };
         self.cells = [0, 1].map(|a| self.cells[a] + self.pace[a]);
         let mut place = [0, 1].map(|a| first[a] + cell[a] * self.cells[a]);
         if s.one_in(16) {

@@ -13,6 +13,8 @@ pub const MOST_LONGITUDE_DEG: f64 = 3600.0;
 /// Greatest size of a value, of a map or a reading, in whatever unit: the Earth's field in femtotesla is 5e10. Blanks of old formats
 /// lie beyond, and squares within are numbers in single precision.
 pub const MOST_VALUE: f64 = 1e15;
+/// Greatest height above or below the surface, metres: a low orbit, and the depth of the core.
+pub const MOST_HEIGHT_M: f64 = 3e6;
 /// Most that a length can be stretched by.
 pub const MOST_SCALE: f64 = 1e3;
 /// Least spacing of an axis and least step of a lattice, map units: positions in cells of it are whole numbers that a double holds.
@@ -109,6 +111,21 @@ pub fn require_extent(what: &str, value: f64) -> Result<()> {
         Ok(())
     } else {
         Err(Error::invalid(what, format!("an extent of at least {LEAST_STEP} map units"), value))
+    }
+}
+
+/// Refuses heights with one that no vehicle and no map has, naming the first: `{what}[{index}]`.
+///
+/// # Errors
+/// [`Error::NotFinite`], [`Error::Invalid`] beyond [`MOST_HEIGHT_M`].
+pub fn require_heights(what: &str, heights_m: &[f64]) -> Result<()> {
+    require_finite(what, heights_m)?;
+    match heights_m.iter().position(|h| h.abs() > MOST_HEIGHT_M) {
+        None => Ok(()),
+        Some(k) => {
+            let name = if heights_m.len() == 1 { what.to_owned() } else { format!("{what}[{k}]") };
+            require(|| name, heights_m[k], MOST_HEIGHT_M, "a height in metres")
+        }
     }
 }
 

@@ -138,7 +138,8 @@ impl LocalFrame {
     /// [`Error::NotFinite`]; [`Error::Invalid`] for a latitude beyond a pole, a sphere without a positive radius or an
     /// origin that is not above the centre of the Earth.
     pub fn new(latitude_deg: f64, longitude_deg: f64, height_m: f64, earth: Earth) -> Result<Self> {
-        crate::error::require_finite("frame origin", &[latitude_deg, longitude_deg, height_m])?;
+        crate::error::require_finite("frame origin", &[latitude_deg, longitude_deg])?;
+        crate::bounds::require_heights("frame origin height_m", &[height_m])?;
         if latitude_deg.abs() > 90.0 {
             return Err(Error::invalid("frame latitude_deg", "a latitude in [-90, 90] degrees", latitude_deg));
         }

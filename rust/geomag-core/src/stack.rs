@@ -6,7 +6,7 @@
 
 use std::sync::Arc;
 
-use crate::error::{Error, Result, require_finite};
+use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues, Interpolation, MapHeight, MapSigma};
 use crate::map_error::{DistanceLayer, MapErrorModel};
@@ -160,7 +160,7 @@ impl MapStack {
     /// # Errors
     /// [`Error::Invalid`] for a height outside the stack.
     pub fn at(&self, height_m: f64) -> Result<GridMap> {
-        require_finite("height_m", &[height_m])?;
+        crate::bounds::require_heights("height_m", &[height_m])?;
         let [low, high] = self.range();
         let Some(Storey { level, share }) = self.storey(height_m) else {
             return Err(Error::invalid("height_m", format!("a height in the stack, {low} to {high} m"), height_m));

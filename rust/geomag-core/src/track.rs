@@ -67,7 +67,7 @@ impl Track {
                 let got = format!("({},)", height.len());
                 return Err(Error::shape("track height_m", format!("({},) as x", self.len()), got));
             }
-            require_finite("track height_m", height)?;
+            crate::bounds::require_heights("track height_m", height)?;
         }
         self.height_m = height_m;
         Ok(self)

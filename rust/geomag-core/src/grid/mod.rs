@@ -237,13 +237,17 @@ impl GridMap {
     pub fn with_height(mut self, height: Option<MapHeight>) -> Result<Self> {
         match &height {
             None => {}
-            Some(MapHeight::Level(level)) => crate::error::require_finite("map height_m", &[*level])?,
+            Some(MapHeight::Level(level)) => crate::bounds::require_heights("map height_m", &[*level])?,
             Some(MapHeight::Drape(drape)) => {
                 if drape.len() != self.values.len() {
                     let needed = format!("{} values as the map", self.values.len());
                     return Err(Error::shape("map height_m", needed, format!("{} values", drape.len())));
                 }
-                let bad = |i: &usize| drape[*i].is_infinite() || drape[*i].is_nan() && !self.values.get(*i).is_nan();
+                // A hole needs no height.
+                let bad = |i: &usize| {
+                    let h = drape[*i];
+                    h.abs() > crate::bounds::MOST_HEIGHT_M || h.is_nan() && !self.values.get(*i).is_nan()
+                };
                 if let Some(i) = (0..drape.len()).find(bad) {
                     let (row, column) = (i / self.x.len(), i % self.x.len());
                     let (x, y) = (self.x.at(column), self.y.at(row));

@@ -164,7 +164,7 @@ impl HarmonicMap {
     /// # Errors
     /// [`Error::Invalid`] for a model without a frame or a main field of length zero; [`Error::NotFinite`].
     pub fn at_height(model: Arc<RectangularHarmonicModel>, quantity: Quantity, height_m: f64) -> Result<Self> {
-        require_finite("height_m", &[height_m])?;
+        crate::bounds::require_heights("height_m", &[height_m])?;
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };

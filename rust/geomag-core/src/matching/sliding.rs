@@ -324,7 +324,7 @@ impl Stream for SlidingContour {
     fn take(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<Step> {
         let Sample { place: [x, y], value, height_m } = *sample;
         if let Some(height) = height_m {
-            require_finite("height_m", &[height])?;
+            crate::bounds::require_heights("height_m", &[height])?;
             require_level(&self.map, height)?;
         }
         let fix = self.state.update_monitored(&self.map, x, y, value, monitor)?;

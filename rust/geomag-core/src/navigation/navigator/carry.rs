@@ -1,12 +1,26 @@
 //! Carrying the errors on from one step to the next.
 
-use super::motion::{ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, Rows, TILT, VELOCITY, rates, transition};
+use super::motion::{
+    ACCELEROMETER, COUPLED, FASTEST_M_S, GYRO, INS_STATES, Motion, Rows, TILT, VELOCITY, rates, transition,
+};
+use super::options::MOST_SIGMA_M;
 use super::outcome::Inputs;
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION};
 
 /// Longest time over which the errors are carried on at once, seconds.
 const LONGEST_STEP_S: f64 = 5.0;
+/// The most that errors can be, whatever the equations of small errors say after hours without a correction: half the way round the
+/// Earth, the fastest vehicle, half a turn.
+const MOST_SIGMA: [f64; COUPLED] = [
+    MOST_SIGMA_M,
+    MOST_SIGMA_M,
+    FASTEST_M_S,
+    FASTEST_M_S,
+    std::f64::consts::PI,
+    std::f64::consts::PI,
+    std::f64::consts::PI,
+];
 
 impl Navigator {
     /// Carries the errors on from one step to the next.
@@ -19,8 +33,12 @@ impl Navigator {
         let states = filter.len();
         self.pieces(before, now, states, heading_variance, |phi, factors, noise| {
             filter.predict(phi, factors, noise, &mut scratch);
+            let held = filter.hold(&MOST_SIGMA);
             if let Some(record) = &mut record {
-                record.moved(phi, factors);
+                match held {
+                    None => record.moved(phi, factors),
+                    Some(by) => record.moved(&std::array::from_fn(|i| phi[i].map(|p| p * by[i])), factors),
+                }
             }
         });
         (self.state.filter, self.scratch, self.record) = (filter, scratch, record);

@@ -187,6 +187,31 @@ impl Filter {
         }
     }
 
+    /// Shrinks coupled states that are less certain than can be, correlations kept: by how much each, or none where nothing was to do.
+    pub fn hold(&mut self, most: &[f64; COUPLED]) -> Option<[f64; COUPLED]> {
+        let stride = padded(self.states);
+        let mut by = [1.0; COUPLED];
+        for i in 0..COUPLED {
+            let variance = self.covariance[i * stride + i];
+            if variance > most[i] * most[i] {
+                by[i] = most[i] / variance.sqrt();
+            }
+            self.mean[i] = self.mean[i].clamp(-most[i], most[i]);
+        }
+        if by.iter().all(|b| *b == 1.0) {
+            return None;
+        }
+        for i in 0..COUPLED {
+            for j in i..self.states {
+                let both = by[i] * if j < COUPLED { by[j] } else { 1.0 };
+                let held = self.covariance[i * stride + j] * both;
+                self.covariance[i * stride + j] = held;
+                self.covariance[j * stride + i] = held;
+            }
+        }
+        Some(by)
+    }
+
     /// What rounding left between the two halves is shared.
     fn make_symmetric(&mut self) {
         let (n, stride) = (self.states, padded(self.states));

@@ -183,7 +183,7 @@ const MOST_TERMS: usize = 64;
 /// Greatest latitude at which east and north still mean something to an INS of this kind.
 pub(super) const MOST_LATITUDE_DEG: f64 = 89.0;
 /// Greatest standard deviation of a position, metres: half the way round the Earth.
-const MOST_SIGMA_M: f64 = 2e7;
+pub(super) const MOST_SIGMA_M: f64 = 2e7;
 
 /// Refuses what is no covariance of a position in square metres.
 ///

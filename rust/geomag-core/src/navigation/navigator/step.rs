@@ -65,7 +65,7 @@ impl Navigator {
             require_values("value", &[value])?;
         }
         if let Some(height) = height_m {
-            require_finite("height_m", &[height])?;
+            crate::bounds::require_heights("height_m", &[height])?;
         }
         check_height(self.field.as_ref(), height_m)?;
         let geographic = self.field.geographic();
