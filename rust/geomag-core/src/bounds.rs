@@ -141,7 +141,7 @@ pub fn require_scale(what: &str, value: f64) -> Result<f64> {
     }
 }
 
-/// Refuses a number that must be above zero and that a value of the field is measured in: see [`require_values`].
+/// Refuses a number that must be above zero and that others are counted in: a quantum of values, the cost of a piece of work.
 ///
 /// # Errors
 /// [`Error::Invalid`].

@@ -9,7 +9,8 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result, require_count, require_finite, require_not_negative, require_positive};
+use crate::bounds::{require_distance_m, require_quantum, require_spread, require_values};
+use crate::error::{Error, Result, require_count, require_positive};
 use crate::field::Field;
 use crate::grid::GridMap;
 use crate::matching::contour::{ContourOptions, match_contour};
@@ -355,7 +356,7 @@ fn check(options: &TuneOptions) -> Result<()> {
         return Err(Error::invalid("quanta", "at least one", "none"));
     }
     for (i, &q) in options.quanta.iter().enumerate() {
-        require_positive(&format!("quanta[{i}]"), q)?;
+        require_quantum(&format!("quanta[{i}]"), q)?;
     }
     if let Some(i) = options.quanta.windows(2).position(|w| w[1] <= w[0]) {
         return Err(Error::invalid(format!("quanta[{}]", i + 1), "ascending quanta", options.quanta[i + 1]));
@@ -369,19 +370,19 @@ fn check(options: &TuneOptions) -> Result<()> {
         return Err(Error::invalid("max_length", format!("at least min_length {}", options.min_length), max));
     }
     require_count("draws", options.draws, MAX_DRAWS)?;
-    require_not_negative("weights[0]", options.weights[0])?;
-    require_not_negative("weights[1]", options.weights[1])?;
+    require_spread("weights[0]", options.weights[0])?;
+    require_spread("weights[1]", options.weights[1])?;
     if options.weights == [0.0; 2] {
         return Err(Error::invalid("weights", "at least one weight > 0", "zeros only"));
     }
-    require_positive("cost_per_work", options.cost_per_work)?;
-    require_not_negative("sigma", options.sigma)?;
-    require_not_negative("ins offset_m", options.ins.offset_m)?;
-    require_not_negative("ins heading_sigma_deg", options.ins.heading_sigma_deg)?;
-    require_not_negative("ins scale_sigma", options.ins.scale_sigma)?;
+    require_quantum("cost_per_work", options.cost_per_work)?;
+    require_spread("sigma", options.sigma)?;
+    require_distance_m("ins offset_m", options.ins.offset_m)?;
+    require_spread("ins heading_sigma_deg", options.ins.heading_sigma_deg)?;
+    require_spread("ins scale_sigma", options.ins.scale_sigma)?;
     for (name, range) in [("error_range_m", options.error_range_m), ("cost_range", options.cost_range)] {
         if let Some([low, high]) = range {
-            require_finite(name, &[low, high])?;
+            require_values(name, &[low, high])?;
             if high <= low {
                 return Err(Error::invalid(name, "(low, high) with low < high", format!("({low}, {high})")));
             }
