@@ -37,7 +37,7 @@ best = geomag.match_contour(
     sigma=sigma,
     offset_sigma_m=560.0,
     heading_sigma_deg=0.5,
-    fix_radius_m=500.0,
+    tolerance_m=500.0,
 )
 print(f"INS alone                         {np.hypot(*(indicated[-1] - truth[-1])):6.0f} m off")
 for name, fix in (

@@ -126,6 +126,7 @@ CALLS: dict[str, Callable[[], object]] = {
     "LocalFrame.inverse": lambda: FRAME.inverse(10.0, 20.0, 30.0),
     "LocalFrame.rotate_from_origin": lambda: FRAME.rotate_from_origin(50.1, 10.1, [1.0, 2.0, 3.0]),
     "LocalFrame.rotate_to_origin": lambda: FRAME.rotate_to_origin(50.1, 10.1, [1.0, 2.0, 3.0]),
+    "_contour_settings": lambda: _geomag._contour_settings(GRID, starts="grid", half_width_m=100.0),
     "Acceptance.to_dict": lambda: _geomag.Acceptance(max_risk=0.02).to_dict(),
     "InsPrior.to_dict": lambda: _geomag.InsPrior(scale_sigma=0.01).to_dict(),
     "MatcherPlan.to_dict": lambda: geomag.MatcherPlan().to_dict(),

@@ -127,13 +127,13 @@ def test_by_default_iccp_to_the_letter(scene):
     assert fix.goodness is None
     assert fix.iterations <= 300
     exact = geomag.match_contour(
-        grid, track, transform="translation", tolerance_m=1e-3, max_iterations=5000, radius_m=3000
+        grid, track, transform="translation", converged_m=1e-3, max_iterations=5000, radius_m=3000
     )
     assert exact.ok
     np.testing.assert_allclose(exact.offset_m, (300, -250), atol=5)
     np.testing.assert_allclose(exact.track, np.column_stack([tx, ty]), atol=5)
     quick = geomag.match_contour(
-        grid, track, transform="translation", tolerance_m=1e-3, max_iterations=5000, radius_m=3000, acceleration=4
+        grid, track, transform="translation", converged_m=1e-3, max_iterations=5000, radius_m=3000, acceleration=4
     )
     np.testing.assert_allclose(quick.offset_m, exact.offset_m, atol=1)
     assert quick.iterations < exact.iterations
@@ -153,7 +153,7 @@ def test_recommended_pipeline_in_degrees(scene):
     )
     fix = geomag.match_contour(
         degrees, track, starts="grid", refine=True, sigma=1.0, offset_sigma_m=560, heading_sigma_deg=0.5,
-        scale_sigma=0.01, bias_sigma=10, fix_radius_m=300,
+        scale_sigma=0.01, bias_sigma=10, tolerance_m=300,
     )  # fmt: skip
     assert fix.ok
     assert fix.risk < 0.01
@@ -168,7 +168,7 @@ def test_starts_channels_weights_and_errors(scene):
     grid, tx, ty, v = scene
     track = geomag.Track(tx - 1500, ty + 1250, v)
     there = geomag.match_contour(grid, track, transform="translation", starts=[(0.0, 0.0), (1450.0, -1200.0)],
-                                 tolerance_m=0.01, max_iterations=3000)  # fmt: skip
+                                 converged_m=0.01, max_iterations=3000)  # fmt: skip
     np.testing.assert_allclose(there.offset_m, (1500, -1250), atol=5)
     second = geomag.match_contour(grid, track, channels=[(grid, v, 1.0)], sigma=1.0, weights=np.ones(22),
                                   starts="grid", radius_m=2500.0, transform="translation")  # fmt: skip
@@ -197,7 +197,7 @@ def test_starts_channels_weights_and_errors(scene):
 
 def test_sliding_window(scene):
     grid, tx, ty, v = scene
-    options = {"transform": "translation", "radius_m": 2000.0, "tolerance_m": 0.01, "max_iterations": 2000}
+    options = {"transform": "translation", "radius_m": 2000.0, "converged_m": 0.01, "max_iterations": 2000}
     window = geomag.SlidingContour(grid, length=12, **options)
     copy = geomag.SlidingContour(grid, length=12, **options)
     for k in range(22):

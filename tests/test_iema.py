@@ -192,7 +192,7 @@ def test_works_across_the_date_line():
         ({"tolerance": -1.0}, "tolerance x"),
         ({"step": 0.0}, "step x"),
         ({"unknown": "maybe"}, "'keep' or 'drop'"),
-        ({"gate": 0.0}, "gate"),
+        ({"gate_sigmas": 0.0}, "gate_sigmas"),
     ],
 )
 def test_bad_options_say_what_is_wrong(change, match):

@@ -135,18 +135,18 @@ def test_callables_may_look_at_the_filter_and_may_fail():
 def test_a_gate_that_no_reading_can_pass_is_refused(gate):
     ukf = geomag.UnscentedKalmanFilter([0.0], 1.0)
     ekf = geomag.ExtendedKalmanFilter([0.0], 1.0)
-    with pytest.raises(geomag.InvalidInputError, match="gate"):
-        ukf.update([1.0], [[1.0]], 1.0, gate=gate)
-    with pytest.raises(geomag.InvalidInputError, match="gate"):
-        ekf.update([1.0], [0.0], [[1.0]], 1.0, gate=gate)
+    with pytest.raises(geomag.InvalidInputError, match="max_nis"):
+        ukf.update([1.0], [[1.0]], 1.0, max_nis=gate)
+    with pytest.raises(geomag.InvalidInputError, match="max_nis"):
+        ekf.update([1.0], [0.0], [[1.0]], 1.0, max_nis=gate)
     assert ukf.nis is ekf.nis is None
-    assert ukf.update([1.0], [[1.0]], 1.0, gate=np.inf)
+    assert ukf.update([1.0], [[1.0]], 1.0, max_nis=np.inf)
 
 
 def test_gate_state_and_words():
     ukf = geomag.UnscentedKalmanFilter([0.0], 1.0)
     assert ukf.nis is None
-    assert ukf.update([100.0], [[1.0]], 1.0, gate=9.0) is False
+    assert ukf.update([100.0], [[1.0]], 1.0, max_nis=9.0) is False
     assert ukf.x[0] == 0.0
     assert ukf.nis == pytest.approx(5000.0)
     ukf.x, ukf.P = [3.0], [[4.0]]

@@ -31,7 +31,20 @@ TABLES = {
     "rust/geomag-core/src/navigation/navigator/ins.rs": [geomag.InsModel],
     "rust/geomag-core/src/navigation/navigator/plan.rs": [geomag.MatcherPlan],
     "rust/geomag-core/src/navigation/navigator/options.rs": [geomag.Navigator],
+    "rust/geomag-core/src/matching/grid_search/options.rs": [geomag.match_grid],
+    "rust/geomag-core/src/matching/contour/options.rs": [geomag.match_contour, geomag.SlidingContour],
+    "rust/geomag-core/src/matching/starts.rs": [geomag.match_contour, geomag.SlidingContour],
+    "rust/geomag-core/src/matching/scene.rs": [geomag.match_contour, geomag.SlidingContour],
+    "rust/geomag-core/src/matching/refine/options.rs": [geomag.match_contour, geomag.SlidingContour],
+    "rust/geomag-core/src/matching/iema.rs": [geomag.Iema],
+    "rust/geomag-core/src/navigation/ins_feedback.rs": [geomag.InsFeedback],
+    # Shared rows; those of extents and steps are not all there is of every call.
+    "rust/geomag-core/src/table.rs": [geomag.match_grid],
 }
+#: Where else the calls of a table could write its defaults again: parts of paths.
+FAMILIES = {"posterior": "posterior", "navigator/": "navigator/", "grid_search": "grid_search", "contour": "contour",
+            "starts": "contour", "scene": "contour", "refine": "contour", "iema": "iema", "ins_feedback": "ins_feedback",
+            "table": "grid_search"}  # fmt: skip
 ROW = re.compile(r"\((\w+): (\w+) = ([^;]+);\s*\"([^\"]+)\";\s*((?:\"[^\"]*\"\s*)+)\)")
 
 
@@ -50,19 +63,20 @@ def sources():
 @pytest.mark.parametrize("table", TABLES)
 def test_an_option_stands_in_one_place(table):
     found = rows(table)
-    assert len(found) > 6
+    assert len(found) > 3
     texts = list(sources())
     for name, _, lines in found:
         for line in (line for line in lines if len(line) > 25):  # the rest of a sentence may stand anywhere
             places = [str(path.relative_to(ROOT)) for path, text in texts if line in text]
             assert places == [table], f"{name}: its explanation stands in {places}"
     # Beside its name a default is written nowhere else where the same calls are made; the stub is made of the tables.
-    family = "posterior" if "posterior" in table else "navigator/"
+    family = next(part for name, part in FAMILIES.items() if name in table)
     for name, default, _ in found:
         if default == "None":
             continue
         again = re.compile(rf"\b{name}(?:: \w+)? ?[=:] ?{re.escape(default)}[,)]")
         for path, text in texts:
+            text = re.sub(r"^ *///.*$", "", text, flags=re.M)  # examples state values
             if path.suffix == ".rs" and "tests" not in path.stem and family in str(path):
                 assert not again.search(text), f"{name} has its default again in {path.relative_to(ROOT)}"
 
@@ -73,7 +87,9 @@ def test_every_call_has_every_option(table):
         parameters, text = inspect.signature(call).parameters, inspect.cleandoc(call.__doc__)
         for name, default, lines in rows(table):
             if "options" not in parameters:  # those that hand their keywords on show them in the stub
-                assert repr(parameters[name].default).replace("'", '"') == repr(eval(default)).replace("'", '"'), name
+                assert repr(parameters[name].default).replace("'", '"') == repr(
+                    eval(default, {"false": False, "true": True})
+                ).replace("'", '"'), name
             assert re.search(rf"^{name} : ", text, re.M), f"{call.__name__} does not explain {name}"
             assert all(line in text for line in lines)
 
@@ -214,3 +230,50 @@ def test_a_random_walk_says_per_what():
     default = geomag.Navigator(GRID, matcher="default").__reduce__()[1][-1]
     assert default == geomag.Navigator(GRID).__reduce__()[1][-1]
     assert default != geomag.Navigator(GRID, matcher=None).__reduce__()[1][-1]
+
+
+def test_parts_serve_every_matcher():
+    box = geomag.SearchBox(half_width_m=400.0, step_m=50.0)
+    by_part, by_name = (
+        geomag.match_grid(GRID, TRACK, **o) for o in ({"search": box}, {"half_width": 400.0, "step": 50.0})
+    )
+    assert (by_part.score, by_part.offset_m) == (by_name.score, by_name.offset_m)
+    iema = [
+        geomag.Iema(GRID, 1.0, tolerance_m=100.0, **o) for o in ({"search": box}, {"half_width": 400.0, "step": 50.0})
+    ]
+    assert iema[0].__reduce__()[1][1] == iema[1].__reduce__()[1][1]
+    assert iema[0].n_feasible == 17 * 17
+    parts = {
+        "search": box,
+        "prior": geomag.InsPrior(heading_sigma_deg=1.0, scale_sigma=0.01),
+        "accept": geomag.Acceptance(tolerance_m=120.0, max_risk=0.05, min_overlap=0.7),
+    }
+    names = {"half_width_m": 400.0, "step_m": 50.0, "heading_sigma_deg": 1.0, "scale_sigma": 0.01, "tolerance_m": 120.0,
+             "max_risk": 0.05, "min_overlap": 0.7}  # fmt: skip
+    common = {"starts": "grid", "refine": True, "sigma": 0.5, "offset_sigma_m": 200.0}
+    fixes = [geomag.match_contour(GRID, TRACK, **common, **o) for o in (parts, names)]
+    assert fixes[0].risk == fixes[1].risk
+    assert fixes[0].covariance_m2.tolist() == fixes[1].covariance_m2.tolist()
+    windows = [geomag.SlidingContour(GRID, length=9, **common, **o) for o in (parts, names)]
+    assert windows[0].__reduce__()[1][1] == windows[1].__reduce__()[1][1]
+    with pytest.raises(geomag.InvalidInputError, match="not both"):
+        geomag.match_contour(GRID, TRACK, heading_sigma_deg=2.0, **parts)
+    for part in ({"prior": geomag.InsPrior(drift_sigma_m=5.0)}, {"accept": geomag.Acceptance(misfit_threshold=9.0)}):
+        with pytest.raises(geomag.InvalidInputError, match="none with contours"):
+            geomag.match_contour(GRID, TRACK, **part)
+
+
+def test_a_tolerance_is_what_counts_as_wrong():
+    common = {"starts": "grid", "half_width_m": 400.0, "refine": True, "sigma": 0.5}
+    with pytest.warns(DeprecationWarning, match="tolerance_m"):
+        old = geomag.match_contour(GRID, TRACK, fix_radius_m=120.0, **common)
+    assert old.risk == geomag.match_contour(GRID, TRACK, tolerance_m=120.0, **common).risk
+    with pytest.warns(DeprecationWarning, match="gate_sigmas"):
+        old = geomag.Iema(GRID, 1.0, half_width=100.0, gate=2.0)
+    assert old.__reduce__()[1][1] == geomag.Iema(GRID, 1.0, half_width=100.0, gate_sigmas=2.0).__reduce__()[1][1]
+
+
+@pytest.mark.parametrize("name", ["max_iterations", "acceleration", "min_points", "keep_starts", "max_candidates"])
+def test_counts_below_zero_are_named(name):
+    with pytest.raises(geomag.InvalidInputError, match=rf"{name}: needed a whole number >= 0, got -3"):
+        geomag.match_contour(GRID, TRACK, **{name: -3})

@@ -212,7 +212,7 @@ def match_with_reduction(
     height_m: ArrayLike | None = None,
     matcher: Callable[..., Fix] = match_contour,
     max_passes: int = 10,
-    tolerance_m: float = 10.0,
+    converged_m: float = 10.0,
     **options: Any,  # noqa: ANN401 - passed on to the matcher
 ) -> Reduced:
     """Match raw readings, reducing them anew at the matched positions until these rest.
@@ -238,7 +238,7 @@ def match_with_reduction(
         `matcher(grid, track, **options) -> Fix`; `match_contour` by default, `match_posterior` for a declared risk.
     max_passes : int
         Greatest number of matches, >= 1.
-    tolerance_m : float
+    converged_m : float
         It rests when no point moves further between passes, metres.
 
     Returns
@@ -272,8 +272,8 @@ def match_with_reduction(
         )
     if max_passes < 1:
         raise InvalidInputError(f"max_passes: needed at least 1, got {max_passes}")
-    if not tolerance_m > 0:
-        raise InvalidInputError(f"tolerance_m: needed a number > 0, got {tolerance_m}")
+    if not converged_m > 0:
+        raise InvalidInputError(f"converged_m: needed a number > 0, got {converged_m}")
     px, py, raw = (np.asarray(a, dtype=float) for a in (x, y, readings))
     times = None if time_s is None else np.asarray(time_s, dtype=float)
     for name, a in (("x", px), ("y", py), ("readings", raw), ("time_s", times)):
@@ -301,7 +301,7 @@ def match_with_reduction(
         step = np.column_stack([turn, fix.track[:, 1] - at[:, 1]]) * metres
         moved = float(np.hypot(*step.T).max()) if passes > 1 else np.inf
         at = np.asarray(fix.track)
-        if moved <= tolerance_m:
+        if moved <= converged_m:
             break
     final = raw + correction()
-    return Reduced(fix, final, passes, moved, moved <= tolerance_m, first)
+    return Reduced(fix, final, passes, moved, moved <= converged_m, first)

@@ -115,7 +115,7 @@ def feed(matcher: Matcher, samples: Iterable[Sample], *, restart: bool = True) -
     >>> x = np.arange(0.0, 3000.0, 50.0)
     >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
     >>> samples = [Sample(700 + 40 * k, 900 + 30 * k, 1e4) for k in range(3)]
-    >>> [(e.status, e.restarted) for e in feed(geomag.Iema(grid, 1.0, 200.0), samples)]
+    >>> [(e.status, e.restarted) for e in feed(geomag.Iema(grid, 1.0, half_width=200.0), samples)]
     [('lost', True), ('lost', True), ('lost', True)]
     """
     reset = getattr(matcher, "reset", None) if restart else None

@@ -16,8 +16,8 @@ import geomag._geomag as module
 
 STUB = Path(__file__).resolve().parents[2] / "python" / "geomag" / "_geomag.pyi"
 #: Calls and classes whose arguments are written by the tables.
-CALLS = ["match_posterior", "match_posterior_many", "predict_many"]
-CLASSES = ["PosteriorMatcher"]
+CALLS = ["match_posterior", "match_posterior_many", "predict_many", "match_grid", "match_contour"]
+CLASSES = ["PosteriorMatcher", "SlidingContour", "Iema", "InsFeedback"]
 #: Frozen objects that are nothing but their arguments.
 PARTS = ["SearchBox", "InsPrior", "Acceptance", "InsModel", "MatcherPlan"]
 
@@ -32,6 +32,10 @@ TYPES = {
     "sequence of Track": "Sequence[Track]",
     "bool or callable": "_Progress",
     "array of shape (n,)": "ArrayLike",
+    "sequence of float": "ArrayLike",
+    "GridMap or MapStack": "GridMap | MapStack",
+    "{'rigid', 'translation', 'similarity', 'affine'}": "_Transform",
+    "{'indicated', 'grid'} or array of shape (n, 2)": 'Literal["indicated", "grid"] | ArrayLike',
     "array of shape (m, m)": "ArrayLike",
     "float or array of shape (2, 2)": "ArrayLike",
     "MatcherPlan, 'default' or None": 'MatcherPlan | Literal["default"] | None',

@@ -109,7 +109,7 @@ pub fn contour_options(s: &mut Source<'_>, cell_m: f64) -> ContourOptions {
         transform: s.one_of(&TransformKind::ALL),
         radius_m: if s.one_in(2) { cell_m * s.number(0.1, 8.0) } else { f64::INFINITY },
         stiffness: if s.one_in(3) { s.number(0.0, 1.0) } else { 0.0 },
-        tolerance_m: cell_m * s.number(0.001, 0.1),
+        converged_m: cell_m * s.number(0.001, 0.1),
         max_iterations: s.below(12),
         min_points: s.one_in(4).then(|| s.below(6)),
         acceleration: s.below(4),

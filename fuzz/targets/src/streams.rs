@@ -73,7 +73,7 @@ pub fn iema(data: &[u8]) {
     options.step = s.one_in(2).then(|| [0, 1].map(|a| cell[a].abs() * s.number(0.2, 1.5)));
     options.max_misses = u32::from(s.byte() % 4);
     options.unknown = s.one_of(&[Unknown::Keep, Unknown::Drop]);
-    options.gate = s.number(0.5, 5.0);
+    options.gate_sigmas = s.number(0.5, 5.0);
     options.max_candidates = 1000;
     let Ok(iema) = Iema::new(field.clone(), options) else { return };
     drive(iema, |bytes| Iema::restore(field.clone(), bytes), s, field.as_ref());

@@ -67,78 +67,50 @@ def _json_of(name: str, options: Mapping[str, Any]) -> str:
     return json.dumps(dict(options), default=plain)
 
 
-def iema(
-    *,
-    sigma: float,
-    half_width: float | Sequence[float],
-    tolerance: float | Sequence[float] = 0.0,
-    step: float | Sequence[float] | None = None,
-    max_misses: int = 0,
-    gate: float = 3.0,
-    unknown: str = "keep",
-) -> Method:
-    """Return streaming IEMA, stopped at its first fix; options as in `geomag.Iema`."""
-    options: dict[str, Any] = {
-        "sigma": float(sigma), "half_width": _pair(half_width), "tolerance": _pair(tolerance),
-        "step": None if step is None else _pair(step), "max_misses": int(max_misses), "gate": float(gate),
-        "unknown": unknown.capitalize(),
-    }  # fmt: skip
-    return Method("iema", options)
+#: Options that are a number or a pair (x, y), map units.
+_PAIRS = ("half_width", "tolerance", "step")
+#: Those of the Hausdorff measure alone.
+_OF_HAUSDORFF = ("length_scale_m", "value_scale", "fraction")
+
+
+def _plain(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that were given, pairs as pairs; what is not given is the matcher's own default."""
+    told = {name: value for name, value in options.items() if value is not None}
+    return {name: _pair(value) if name in _PAIRS else value for name, value in told.items()}
+
+
+def iema(*, sigma: float, half_width: float | Sequence[float], **options: Any) -> Method:  # noqa: ANN401 - those of Iema
+    """Return streaming IEMA, stopped at its first fix; options as in `geomag.Iema`, extents in map units."""
+    told = _plain({"sigma": float(sigma), "half_width": half_width, **options})
+    if "unknown" in told:
+        told["unknown"] = str(told["unknown"]).capitalize()
+    return Method("iema", told)
 
 
 def grid_search(
     criterion: str = "msd",
     *,
     half_width: float | Sequence[float],
-    step: float | Sequence[float] | None = None,
-    heading_deg: Sequence[float] = (0.0,),
-    scale: Sequence[float] = (1.0,),
-    remove_mean: bool = False,
-    sigma: float | None = None,
-    ambiguity: float = 0.01,
-    min_overlap: float = 0.8,
-    refine: bool = True,
-    length_scale_m: float | None = None,
-    value_scale: float | None = None,
-    fraction: float = 1.0,
+    **options: Any,  # noqa: ANN401 - those of match_grid
 ) -> Method:
-    """Return a grid search over the whole track; options as in `geomag.match_grid`.
+    """Return a grid search over the whole track; options as in `geomag.match_grid`, extents in map units.
 
-    The last three are of the Hausdorff measure; scales that are not given are those of each trial's own track.
+    Scales of the Hausdorff measure that are not given are those of each trial's own track.
     """
     names = ("msd", "mad", "prod", "ncc", "hausdorff")
     if criterion not in names:
         raise InvalidInputError(f"criterion: needed one of {', '.join(names)}, got {criterion!r}")
-    options: dict[str, Any] = {
-        "half_width": _pair(half_width),
-        "step": None if step is None else _pair(step), "heading_deg": [float(h) for h in heading_deg],
-        "scale": [float(s) for s in scale], "remove_mean": bool(remove_mean),
-        "sigma": None if sigma is None else float(sigma), "ambiguity": float(ambiguity),
-        "min_overlap": float(min_overlap), "refine": bool(refine),
-    }  # fmt: skip
+    told = _plain({"half_width": half_width, **options})
     if criterion == "hausdorff":
-        scales = {"length_scale_m": length_scale_m, "value_scale": value_scale}
-        told = {name: None if scale is None else float(scale) for name, scale in scales.items()}
-        return Method("hausdorff", {**options, **told, "fraction": float(fraction)})
-    if (length_scale_m, value_scale, fraction) != (None, None, 1.0):
-        raise InvalidInputError(
-            f"length_scale_m, value_scale, fraction: needed criterion 'hausdorff', got {criterion!r}"
-        )
-    return Method("grid", {"criterion": criterion.capitalize(), **options})
+        return Method("hausdorff", told)
+    if given := [name for name in _OF_HAUSDORFF if name in told]:
+        raise InvalidInputError(f"{given[0]}: needed criterion 'hausdorff', got {criterion!r}")
+    return Method("grid", {"criterion": criterion.capitalize(), **told})
 
 
-def posterior(
-    *,
-    half_width: float | Sequence[float],
-    sigma: float | None = None,
-    step: float | Sequence[float] | None = None,
-    **options: float | None,
-) -> Method:
-    """Return calibrated matching over the whole track; options as in `geomag.match_posterior`."""
-    told: dict[str, Any] = {
-        "half_width": _pair(half_width), "sigma": sigma, "step": None if step is None else _pair(step), **options,
-    }  # fmt: skip
-    return Method("posterior", told)
+def posterior(*, half_width: float | Sequence[float], **options: Any) -> Method:  # noqa: ANN401 - those of match_posterior
+    """Return calibrated matching over the whole track; options as in `geomag.match_posterior`, extents in map units."""
+    return Method("posterior", _plain({"half_width": half_width, **options}))
 
 
 def contour(**options: Any) -> Method:  # noqa: ANN401 - those of match_contour

@@ -126,7 +126,7 @@ def _contour(grid: GridMap, track: Track, told: Settings) -> Answer:
         heading_sigma_deg=told.heading_deg or None,
         scale_sigma=told.scale_sigma or None,
         bias_sigma=np.inf if told.remove_mean else None,
-        fix_radius_m=told.tolerance_m or None,
+        tolerance_m=told.tolerance_m or None,
     )
     return fix, []
 

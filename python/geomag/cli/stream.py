@@ -133,7 +133,7 @@ def stream(
             refine=True,
             half_width_m=reach,
             offset_sigma_m=reach / 3.0,
-            fix_radius_m=tolerance_m or None,
+            tolerance_m=tolerance_m or None,
         ),
     }
     last = pipe.run(make[method](grid), itertools.chain([first], samples), writer, restart=restart)

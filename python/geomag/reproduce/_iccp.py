@@ -316,7 +316,7 @@ def compare_sequences(
 def compare_methods(context: Context, grid: GridMap, region: Region, trials: int) -> list[Table]:
     """22 equally spaced points: ICCP by its variants against the recommended pipeline, and what the latter claims."""
     noise = float(np.sqrt(region.noise_variance))
-    exact = {"tolerance_m": 0.01, "max_iterations": 3000}
+    exact = {"converged_m": 0.01, "max_iterations": 3000}
     plain = InsError()
     Row = tuple[str, float, InsError, float, int, float, Callable[[GridMap, Track], Fix]]
     half = InsError(0.5)

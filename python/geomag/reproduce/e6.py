@@ -145,7 +145,7 @@ def batches(grid: GridMap, leg: Leg, settings: dict[str, Any], passes: int) -> d
                 GravityReduction(),
                 time_s=leg.time_s[picks],
                 max_passes=passes,
-                tolerance_m=50.0,
+                converged_m=50.0,
                 **settings,
             )
             if np.isfinite(found.fix.x):

@@ -17,6 +17,18 @@ macro_rules! option_type {
     (matrix) => { Vec<f64> };
     (matcher) => { Option<MatcherPlan> };
     (method) => { Method };
+    (flag) => { bool };
+    (tally) => { u32 };
+    (maybe_size) => { Option<usize> };
+    (reach) => { f64 };
+    (pair) => { [f64; 2] };
+    (headings) => { Vec<f64> };
+    (scales) => { Vec<f64> };
+    (weights) => { Option<Vec<f64>> };
+    (pivot) => { Pivot };
+    (unknown) => { Unknown };
+    (transform) => { TransformKind };
+    (starts) => { Starts };
 }
 
 /// The default of an option, as Rust has it.
@@ -42,6 +54,30 @@ macro_rules! option_default {
     (method "navigator") => {
         Method::Navigator
     };
+    (reach None) => {
+        f64::INFINITY
+    };
+    (pair None) => {
+        [0.0; 2]
+    };
+    (headings None) => {
+        vec![0.0]
+    };
+    (scales None) => {
+        vec![1.0]
+    };
+    (pivot "newest") => {
+        Pivot::Newest
+    };
+    (unknown "keep") => {
+        Unknown::Keep
+    };
+    (transform "rigid") => {
+        TransformKind::Rigid
+    };
+    (starts None) => {
+        Starts::Indicated
+    };
     ($kind:ident $default:tt) => {
         $default
     };
@@ -63,6 +99,45 @@ macro_rules! record {
             fn default() -> Self {
                 Self { $($($name: option_default!($kind $default),)*)* }
             }
+        }
+    };
+}
+
+/// Rows that several matchers share: how far to look, and how much of a track must lie on the map.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! common_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            extent [
+                (half_width: maybe_pair = None; "float or (float, float), optional";
+                    "Bound of the INS error (x, y), map units. This, `half_width_m` or a `search` is needed.")
+                (half_width_m: maybe_pair = None; "float or (float, float), optional";
+                    "The same (east, north) in metres; on a map in degrees at the middle latitude of the tracks, or of the map before there is"
+                    "one.")
+                (step_m: maybe_pair = None; "float or (float, float), optional";
+                    "`step` in metres.")
+            ]
+            overlap [
+                (min_overlap: number = 0.8; "float";
+                    "Least share of the samples that a candidate must have on the map.")
+            ]
+        }
+    };
+}
+
+/// The step of a lattice that is not refined where it matters.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! step_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            pitch [
+                (step: maybe_pair = None; "float or (float, float), optional";
+                    "Lattice step, map units; the map spacing by default. Whole fractions of the spacing are fast.")
+            ]
         }
     };
 }

@@ -188,7 +188,7 @@ fn flown(offset: [f64; 2], heading_deg: f64, noise: f64, seed: u64) -> (Track, [
 }
 
 fn tight(transform: TransformKind) -> ContourOptions {
-    ContourOptions { transform, tolerance_m: 1e-3, max_iterations: 20_000, radius_m: 4000.0, ..Default::default() }
+    ContourOptions { transform, converged_m: 1e-3, max_iterations: 20_000, radius_m: 4000.0, ..Default::default() }
 }
 
 #[test]
@@ -334,13 +334,13 @@ fn statuses_and_errors() {
     let refused = match_contour(&map, &track, None, &tight(TransformKind::Affine));
     assert!(matches!(refused, Err(Error::RankDeficient { .. })));
     // The iteration limit.
-    let few = ContourOptions { max_iterations: 3, tolerance_m: 1e-6, ..Default::default() };
+    let few = ContourOptions { max_iterations: 3, converged_m: 1e-6, ..Default::default() };
     assert_eq!(match_contour(&map, &track, None, &few).unwrap().status, Status::NotConverged);
     // Options.
     for bad in [
         ContourOptions { radius_m: -1.0, ..Default::default() },
         ContourOptions { radius_m: f64::NAN, ..Default::default() },
-        ContourOptions { tolerance_m: 0.0, ..Default::default() },
+        ContourOptions { converged_m: 0.0, ..Default::default() },
         ContourOptions { stiffness: -1.0, ..Default::default() },
         ContourOptions { max_iterations: 0, ..Default::default() },
         ContourOptions { starts: Starts::Offsets(vec![]), ..Default::default() },

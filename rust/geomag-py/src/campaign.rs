@@ -5,6 +5,7 @@ use std::sync::Arc;
 use geomag_core::campaign::{Campaign, Method, Row, run};
 use geomag_core::field::Field;
 use geomag_core::grid::GridMap;
+use geomag_core::matching::contour::ContourOptions;
 use geomag_core::matching::grid_search::GridSearch;
 use geomag_core::matching::iema::IemaOptions;
 use geomag_core::matching::posterior::PosteriorOptions;
@@ -18,7 +19,7 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::arrays::shaped;
-use crate::contour::contour_options;
+use crate::contour::PyContourSettings;
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
 use crate::long_call;
@@ -49,8 +50,16 @@ fn sigma(options: &Bound<'_, PyDict>) -> PyRes<Option<f64>> {
     Ok(options.get_item("sigma")?.map(|s| s.extract()).transpose()?.flatten())
 }
 
+/// What `match_contour` makes of keywords for a map.
+fn contour_settings(map: &Arc<GridMap>, keywords: &Bound<'_, PyDict>) -> PyRes<ContourOptions> {
+    let py = keywords.py();
+    let call = py.import("geomag._geomag")?.getattr("_contour_settings")?;
+    let made = call.call((PyGridMap::of(Arc::clone(map)),), Some(keywords))?;
+    Ok(made.cast::<PyContourSettings>().map_err(PyErr::from)?.get().inner.clone())
+}
+
 /// A matcher from its kind, and its options as JSON or, where they are those of the binding, as they are.
-fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDict>)) -> PyRes<Method> {
+fn method(map: &Arc<GridMap>, (kind, json, options): &(String, String, Bound<'_, PyDict>)) -> PyRes<Method> {
     match kind.as_str() {
         "iema" => {
             let defaults = IemaOptions::new(1.0, [0.0; 2]);
@@ -73,7 +82,7 @@ fn method(map: &GridMap, (kind, json, options): &(String, String, Bound<'_, PyDi
             if rest.contains("sigma")? {
                 rest.del_item("sigma")?;
             }
-            Ok(Method::Contour { sigma: sigma(options)?, options: contour_options(map, Some(&rest))? })
+            Ok(Method::Contour { sigma: sigma(options)?, options: contour_settings(map, &rest)? })
         }
         "posterior" => {
             let mut given: Value = settings("method posterior", json)?;

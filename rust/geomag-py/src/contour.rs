@@ -1,4 +1,5 @@
-//! `closest_contour_point`, `fit_transform`, `match_contour`, `SlidingContour`.
+//! `closest_contour_point`, `fit_transform`, `match_contour`, `SlidingContour`; the signatures and docstrings of the last two from the core's
+//! tables of options.
 
 use std::sync::Arc;
 
@@ -8,22 +9,26 @@ use geomag_core::fix::Fix;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::closest::closest_contour_point;
 use geomag_core::matching::contour::{ContourOptions, match_channels_monitored};
+use geomag_core::matching::posterior::PosteriorOptions;
 use geomag_core::matching::refine::RefineOptions;
 use geomag_core::matching::scene::{Channel, Priors};
 use geomag_core::matching::sliding::{AveragedPoint, SlidingContour, SlidingState};
-use geomag_core::matching::starts::{DEFAULT_MAX_CANDIDATES, Starts};
+use geomag_core::matching::starts::{StartLattice, Starts};
 use geomag_core::matching::stream::{Sample, Stream};
 use geomag_core::matching::transform::{Transform, TransformKind};
 use geomag_core::stack::extent;
+use geomag_core::{common_options, contour_options, motion_prior_options, refine_options, starts_options};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
 use crate::arrays::{broadcast, matrix, optional_vector, shaped, vector};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
-use crate::grid::{PyGridMap, interpolation};
+use crate::grid::PyGridMap;
 use crate::lock::Shared;
 use crate::long_call;
+use crate::options::old_name;
+use crate::posterior::{PyAcceptance, PyInsPrior, PySearchBox, merge};
 use crate::stack::{level_at, level_for, same_map};
 use crate::track::PyTrack;
 
@@ -144,193 +149,461 @@ pub fn py_fit_transform<'py>(
     Ok((shaped(py, fitted.matrix.concat(), &[2, 2])?, shaped(py, fitted.shift.to_vec(), &[2])?))
 }
 
-/// Keyword arguments that `match_contour` and `SlidingContour` share.
-pub fn contour_options(map: &GridMap, given: Option<&Bound<'_, PyDict>>) -> PyRes<ContourOptions> {
-    let mut o = ContourOptions::default();
-    let mut p = Priors::default();
-    let mut r = RefineOptions::default();
-    let mut starts: Option<Bound<'_, PyAny>> = None;
-    let (mut half_width_m, mut step_m, mut keep, mut max_candidates) =
-        (None::<f64>, None::<f64>, 12_usize, DEFAULT_MAX_CANDIDATES);
-    if let Some(given) = given {
-        for (key, value) in given.iter() {
-            let key: String = key.extract()?;
-            if value.is_none() {
-                continue;
-            }
-            let number = || value.extract::<f64>().map_err(|_| invalid(&key, "a number", &value));
-            let count = || value.extract::<usize>().map_err(|_| invalid(&key, "a whole number >= 0", &value));
-            let flag = || value.extract::<bool>().map_err(|_| invalid(&key, "True or False", &value));
-            let text = || value.extract::<String>().map_err(|_| invalid(&key, "a name", &value));
-            match key.as_str() {
-                "transform" => o.transform = transform_kind(&text()?)?,
-                "radius_m" => o.radius_m = number()?,
-                "starts" => starts = Some(value.clone()),
-                "refine" => o.refine = flag()?,
-                "stiffness" => o.stiffness = number()?,
-                "tolerance_m" => o.tolerance_m = number()?,
-                "max_iterations" => o.max_iterations = count()?,
-                "min_points" => o.min_points = Some(count()?),
-                "acceleration" => o.acceleration = count()?,
-                "max_rotation_deg" => o.max_rotation_deg = Some(number()?),
-                "offset_sigma_m" => p.offset_sigma_m = Some(number()?),
-                "heading_sigma_deg" => p.heading_sigma_deg = Some(number()?),
-                "scale_sigma" => p.scale_sigma = Some(number()?),
-                "bias_sigma" => p.bias_sigma = Some(number()?),
-                "half_width_m" => half_width_m = Some(number()?),
-                "step_m" => step_m = Some(number()?),
-                "keep_starts" => keep = count()?,
-                "max_candidates" => max_candidates = count()? as u64,
-                "interpolation" => r.interpolation = interpolation(&text()?)?,
-                "map_correlation_m" => r.map_correlation_m = Some(number()?),
-                "min_overlap" => r.min_overlap = number()?,
-                "fix_radius_m" => r.tolerance_m = Some(number()?),
-                "max_risk" => r.max_risk = number()?,
-                "min_goodness" => r.min_goodness = number()?,
-                other => {
-                    return Err(pyo3::exceptions::PyTypeError::new_err(format!(
-                        "match_contour() got an unexpected keyword argument '{other}'"
-                    ))
-                    .into());
+/// What is told of a contour match, as it is given.
+struct Told {
+    contour: ContourOptions,
+    starts: Option<Py<PyAny>>,
+    lattice: StartLattice,
+    /// Old name of the refinement's tolerance.
+    fix_radius_m: Option<f64>,
+}
+
+/// The parts of a call that stand for keywords of the same names.
+#[derive(Clone, Copy)]
+struct Parts<'a> {
+    search: Option<&'a Py<PySearchBox>>,
+    prior: Option<&'a Py<PyInsPrior>>,
+    accept: Option<&'a Py<PyAcceptance>>,
+}
+
+impl Told {
+    /// The options for a map: parts in their places, starts laid out.
+    fn options(mut self, py: Python<'_>, map: &GridMap, parts: Parts<'_>) -> PyRes<ContourOptions> {
+        if let Some(radius) = self.fix_radius_m {
+            old_name(py, "fix_radius_m", "tolerance_m")?;
+            self.contour.refinement.tolerance_m = Some(radius);
+        }
+        self.take(map, parts)?;
+        let mut o = self.contour;
+        if let Some(given) = self.starts.as_ref().map(|s| s.bind(py)) {
+            let name = given.extract::<String>().ok();
+            o.starts = match name.as_deref() {
+                Some("indicated") => Starts::Indicated,
+                Some("grid") => lattice_of_starts(map, &o, self.lattice)?,
+                Some(other) => {
+                    return Err(invalid(
+                        "starts",
+                        "'indicated', 'grid' or offsets (n, 2) in metres",
+                        format!("'{other}'"),
+                    ));
                 }
+                None => Starts::Offsets(points_in("starts", given)?),
+            };
+        }
+        o.check()?;
+        Ok(o)
+    }
+
+    /// Puts what the parts say in its place; what contours cannot do is refused.
+    fn take(&mut self, map: &GridMap, parts: Parts<'_>) -> PyRes<()> {
+        let usual = PosteriorOptions::new([1.0; 2]);
+        let unlike = |name: &str, given: bool, why: &str| if given { Err(invalid(name, why, "one")) } else { Ok(()) };
+        if let Some(part) = parts.search.map(|p| p.get().inner) {
+            let metres = |units: [f64; 2]| {
+                let scale = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
+                [units[0] * scale[0], units[1] * scale[1]]
+            };
+            // The lattice of starts is a square: the one that holds the box, as fine as its finer step.
+            let side = part.half_width_m.or(part.half_width.map(metres)).map(|[x, y]| x.max(y));
+            let step = part.step_m.or(part.step.map(metres)).map(|[x, y]| x.min(y));
+            let lattice = &mut self.lattice;
+            lattice.half_width_m = merge("half_width_m", "search", lattice.half_width_m, side, None)?;
+            lattice.step_m = merge("step_m", "search", lattice.step_m, step, None)?;
+            if part.max_candidates != usual.max_candidates {
+                let default = StartLattice::DEFAULT.max_candidates;
+                lattice.max_candidates =
+                    merge("max_candidates", "search", lattice.max_candidates, part.max_candidates, default)?;
             }
         }
+        let refinement = &mut self.contour.refinement;
+        if let Some(part) = parts.prior.map(|p| p.get().inner) {
+            let why = "none with contours, which move the track as one body";
+            unlike("prior drift_sigma_m", part.drift_sigma_m != 0.0, why)?;
+            unlike("prior position_sigma_m", part.position_sigma_m != 0.0, why)?;
+            let told = |sigma: f64| (sigma != 0.0).then_some(sigma);
+            let priors = &mut refinement.priors;
+            let heading = told(part.heading_sigma_deg);
+            priors.heading_sigma_deg = merge("heading_sigma_deg", "prior", priors.heading_sigma_deg, heading, None)?;
+            priors.scale_sigma = merge("scale_sigma", "prior", priors.scale_sigma, told(part.scale_sigma), None)?;
+        }
+        if let Some(part) = parts.accept.map(|p| p.get().inner) {
+            unlike(
+                "accept misfit_threshold",
+                part.misfit_threshold.is_some(),
+                "none with contours, which test no effects",
+            )?;
+            let r = RefineOptions::default();
+            refinement.tolerance_m = merge("tolerance_m", "accept", refinement.tolerance_m, part.tolerance_m, None)?;
+            refinement.max_risk = merge("max_risk", "accept", refinement.max_risk, part.max_risk, r.max_risk)?;
+            refinement.min_goodness =
+                merge("min_goodness", "accept", refinement.min_goodness, part.min_goodness, r.min_goodness)?;
+            refinement.min_overlap =
+                merge("min_overlap", "accept", refinement.min_overlap, part.min_overlap, r.min_overlap)?;
+        }
+        Ok(())
     }
-    if let Some(given) = starts {
-        let name = given.extract::<String>().ok();
-        o.starts = match name.as_deref() {
-            Some("indicated") => Starts::Indicated,
-            Some("grid") => {
-                let half_width_m = half_width_m
-                    .or(p.offset_sigma_m.filter(|s| s.is_finite()).map(|s| 3.0 * s))
-                    .or(Some(o.radius_m).filter(|r| r.is_finite()))
-                    .ok_or_else(|| {
-                        invalid(
-                            "starts='grid'",
-                            "half_width_m, offset_sigma_m or radius_m to know how far to look",
-                            "none",
-                        )
-                    })?;
-                let [east, north] = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
-                let cell = (map.x().step() * east).min(map.y().step() * north);
-                let step_m = step_m.unwrap_or(cell.max(half_width_m / 40.0).min(half_width_m));
-                Starts::Grid { half_width_m, step_m, keep, max_candidates }
-            }
-            Some(other) => {
-                return Err(invalid("starts", "'indicated', 'grid' or offsets (n, 2) in metres", format!("'{other}'")));
-            }
-            None => Starts::Offsets(points_in("starts", &given)?),
-        };
-    }
-    r.priors = p;
-    o.refinement = r;
-    o.check()?;
-    Ok(o)
+}
+
+fn lattice_of_starts(map: &GridMap, o: &ContourOptions, told: StartLattice) -> PyRes<Starts> {
+    let sigma = o.refinement.priors.offset_sigma_m;
+    let half_width_m = told
+        .half_width_m
+        .or(sigma.filter(|s| s.is_finite()).map(|s| 3.0 * s))
+        .or(Some(o.radius_m).filter(|r| r.is_finite()))
+        .ok_or_else(|| {
+            invalid("starts='grid'", "half_width_m, offset_sigma_m or radius_m to know how far to look", "none")
+        })?;
+    let [east, north] = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
+    let cell = (map.x().step() * east).min(map.y().step() * north);
+    let step_m = told.step_m.unwrap_or(cell.max(half_width_m / 40.0).min(half_width_m));
+    Ok(Starts::Grid { half_width_m, step_m, keep: told.keep_starts, max_candidates: told.max_candidates })
 }
 
 /// Another field along the track: map, measured values, sigma.
 type OtherChannel<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, f64);
 
-/// Move the indicated track, as one body, onto the contours of its measured values (ICCP).
-///
-/// For smooth maps and an INS error of a few cells. By default ICCP to the letter: it converges to the nearest minimum
-/// and has no covariance. With ``starts='grid', refine=True`` and the INS's own accuracy as priors it is the recommended
-/// pipeline: a lattice of starts, then Gauss-Newton on the misfit of map against measured value, with covariance,
-/// goodness and risk. Not for a calibrated risk on real surveys: see ``match_posterior``.
-///
-/// Parameters
-/// ----------
-/// grid : GridMap
-///     The map. Its ``sigma`` (error of the map) is used by the refinement.
-/// track : Track
-///     Indicated positions and measured values.
-/// transform : {'rigid', 'translation', 'similarity', 'affine'}
-///     What the track may do; with `refine` also what is estimated.
-/// radius_m : float
-///     How far from a point its contour is looked for, metres; the whole map by default. At least the INS error.
-/// starts : {'indicated', 'grid'} or array of shape (n, 2)
-///     Where to start: at the INS, at the best of a lattice (`half_width_m`, by default three `offset_sigma_m`; `step_m`;
-///     `keep_starts`), or at offsets in metres (east, north). The least misfit wins.
-/// refine : bool
-///     Minimise the misfit afterwards, over offset, heading, scale and bias.
-/// sigma : float
-///     Standard deviation of a measured value, value units; estimated from the residuals where it is needed and missing.
-/// offset_sigma_m, heading_sigma_deg, scale_sigma, bias_sigma : float
-///     Priors: standard deviations of the INS error at the newest point (each axis), its heading and scale, and of a
-///     constant in the measurement. They bound ICCP's transform too. Heading and scale are estimated where the transform
-///     is free to change them or a prior is given, the bias where its prior is given; ``inf`` is a flat prior.
-/// stiffness : float
-///     K: weight of the distance to the indicated points against that to the contours.
-/// tolerance_m : float
-///     Converged when no point moves further, metres. The paper's 1 m stops short: 0.001 with `acceleration` does not.
-/// max_iterations, min_points : int
-///     Limit of iterations; least number of points that must have a contour in reach (half of them by default).
-/// acceleration : int
-///     Depth of Anderson acceleration, 0 for the plain iteration.
-/// max_rotation_deg : float
-///     Bound of the total rotation.
-/// weights : array of shape (n,)
-///     One weight a sample.
-/// channels : sequence of (GridMap, values, sigma)
-///     Further fields measured along the same track; `sigma` is then needed too.
-/// interpolation : {'bicubic', 'bilinear'}
-///     How the refinement reads the map.
-/// map_correlation_m : float
-///     Distance over which the map's error is correlated (exponentially); 0 is white; estimated by default.
-/// fix_radius_m : float
-///     Radius within which a fix is right: `risk` is then the probability to be beyond it. Without it, the probability
-///     of the other minima. Either supposes that map and noise are as told; it is not calibrated.
-/// max_risk, min_goodness, min_overlap : float
-///     Greatest risk and least p-value of a fix; least share of the track on the map.
-/// max_candidates : int
-///     A larger lattice is refused; 2^32 at most.
-///
-/// Returns
-/// -------
-/// Fix
-///     `score` is the mean square misfit, with `refine` twice the negative log posterior (without constants).
-///
-/// Raises
-/// ------
-/// InvalidInputError, TooFewSamplesError, RankDeficientError, CandidateLimitError
-///
-/// Notes
-/// -----
-/// Source: Kamgar-Parsi 1999; Bai and Wang, Computer Simulation 30(6), 2013; Duan, Xiao, Qi, J. Astronautics 2018(2).
-///
-/// Examples
-/// --------
-/// >>> import numpy as np, geomag
-/// >>> x = np.arange(0.0, 12000.0, 100.0)
-/// >>> grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] * np.cos(x / 1100)[:, None], x, x)
-/// >>> k = np.arange(30.0)
-/// >>> readings = grid.sample(3210 + 150 * k, 3875 + 90 * k, interpolation="bicubic")
-/// >>> track = geomag.Track(3000 + 150 * k, 4000 + 90 * k, readings)
-/// >>> fix = geomag.match_contour(grid, track, starts="grid", refine=True, sigma=0.1, offset_sigma_m=300.0,
-/// ...                            heading_sigma_deg=0.5)
-/// >>> fix.status, [round(v) for v in fix.offset_m]
-/// ('fixed', [210, -125])
-#[pyfunction(name = "match_contour")]
-#[pyo3(
-    signature = (grid, track, *, sigma = None, weights = None, channels = None, **options),
-    text_signature = "(grid, track, *, sigma=None, weights=None, channels=None, transform='rigid', radius_m=None, \
-        starts='indicated', refine=False, stiffness=0.0, tolerance_m=1.0, max_iterations=300, min_points=None, \
-        acceleration=0, max_rotation_deg=None, offset_sigma_m=None, heading_sigma_deg=None, scale_sigma=None, \
-        bias_sigma=None, interpolation='bicubic', map_correlation_m=None, min_overlap=0.8, fix_radius_m=None, \
-        max_risk=0.01, min_goodness=0.001, half_width_m=None, step_m=None, keep_starts=12, max_candidates=1000000)"
-)]
-pub fn py_match_contour(
+/// The value of an option of the iteration: where to start is laid out once the map is known.
+macro_rules! contour_value {
+    ($py:ident starts $name:ident) => {
+        Starts::Indicated
+    };
+    ($py:ident $kind:ident $name:ident) => {
+        py_value!($py $kind $name)
+    };
+}
+
+/// Where to start, as it is given: the first option of that kind.
+macro_rules! starts_given {
+    ([starts $name:ident] $($rest:tt)*) => { $name };
+    ([$kind:ident $name:ident] $($rest:tt)*) => { starts_given!($($rest)*) };
+}
+
+macro_rules! contour_calls {
+    (
+        extent $extent:tt overlap [$($overlap:tt)*] iteration $iteration:tt lattice $lattice:tt prior $prior:tt refinement [$($refinement:tt)*]
+    ) => {
+        contour_calls! { $iteration $lattice $prior [$($refinement)* $($overlap)*] }
+    };
+    (
+        [$(($step:ident: $step_kind:ident = $step_default:tt; $step_python:literal; $($step_line:literal)+))*]
+        [$(($start:ident: $start_kind:ident = $start_default:tt; $start_python:literal; $($start_line:literal)+))*]
+        [$(($known:ident: $known_kind:ident = $known_default:tt; $known_python:literal; $($known_line:literal)+))*]
+        [$(($refined:ident: $refined_kind:ident = $refined_default:tt; $refined_python:literal; $($refined_line:literal)+))*]
+    ) => {
+        /// Move the indicated track, as one body, onto the contours of its measured values (ICCP).
+        ///
+        /// For smooth maps and an INS error of a few cells. By default ICCP to the letter: it converges to the nearest minimum
+        /// and has no covariance. With ``starts='grid', refine=True`` and the INS's own accuracy as priors it is the recommended
+        /// pipeline: a lattice of starts, then Gauss-Newton on the misfit of map against measured value, with covariance,
+        /// goodness and risk. Not for a calibrated risk on real surveys: see ``match_posterior``.
+        ///
+        /// Parameters
+        /// ----------
+        /// grid : GridMap or MapStack
+        ///     The map.
+        #[doc = shared_doc!(track)]
+        /// sigma : float, optional
+        ///     Standard deviation of a measured value, value units; estimated from the residuals where it is needed and missing. The
+        ///     ``sigma`` of the map is used by the refinement beside it.
+        /// weights : array of shape (n,), optional
+        ///     One weight a sample of the track.
+        #[doc = shared_doc!(channels)]
+        $(#[doc = row_doc!($step; $step_python; $($step_line)+)])*
+        $(#[doc = row_doc!($start; $start_python; $($start_line)+)])*
+        $(#[doc = row_doc!($known; $known_python; $($known_line)+)])*
+        $(#[doc = row_doc!($refined; $refined_python; $($refined_line)+)])*
+        #[doc = shared_doc!(parts)]
+        /// fix_radius_m : float, optional
+        ///     Old name of `tolerance_m`; it warns.
+        ///
+        /// Returns
+        /// -------
+        /// Fix
+        ///     `score` is the mean square misfit, with `refine` twice the negative log posterior (without constants).
+        ///
+        /// Raises
+        /// ------
+        /// InvalidInputError, TooFewSamplesError, RankDeficientError, CandidateLimitError
+        ///
+        /// Notes
+        /// -----
+        /// Priors bound ICCP's transform too. With further channels `sigma` is needed. Of a `search` the square that holds it is the lattice of
+        /// starts.
+        ///
+        /// Source: Kamgar-Parsi 1999; Bai and Wang, Computer Simulation 30(6), 2013; Duan, Xiao, Qi, J. Astronautics 2018(2).
+        ///
+        /// Examples
+        /// --------
+        /// >>> import numpy as np, geomag
+        /// >>> x = np.arange(0.0, 12000.0, 100.0)
+        /// >>> grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] * np.cos(x / 1100)[:, None], x, x)
+        /// >>> k = np.arange(30.0)
+        /// >>> readings = grid.sample(3210 + 150 * k, 3875 + 90 * k, interpolation="bicubic")
+        /// >>> track = geomag.Track(3000 + 150 * k, 4000 + 90 * k, readings)
+        /// >>> fix = geomag.match_contour(grid, track, starts="grid", refine=True, sigma=0.1, offset_sigma_m=300.0,
+        /// ...                            heading_sigma_deg=0.5)
+        /// >>> fix.status, [round(v) for v in fix.offset_m]
+        /// ('fixed', [210, -125])
+        #[pyfunction(name = "match_contour")]
+        #[pyo3(signature = (grid, track, *, sigma = None, weights = None, channels = None,
+            $($step = $step_default,)* $($start = $start_default,)* $($known = $known_default,)*
+            $($refined = $refined_default,)* search = None, prior = None, accept = None, fix_radius_m = None))]
+        #[allow(clippy::too_many_arguments)] // one each, keyword-only
+        pub fn py_match_contour(
+            py: Python<'_>,
+            grid: &Bound<'_, PyAny>,
+            track: &PyTrack,
+            sigma: Option<f64>,
+            weights: Option<&Bound<'_, PyAny>>,
+            channels: Option<Vec<OtherChannel<'_>>>,
+            $($step: py_type!($step_kind),)*
+            $($start: py_type!($start_kind),)*
+            $($known: py_type!($known_kind),)*
+            $($refined: py_type!($refined_kind),)*
+            search: Option<Py<PySearchBox>>,
+            prior: Option<Py<PyInsPrior>>,
+            accept: Option<Py<PyAcceptance>>,
+            fix_radius_m: Option<f64>,
+        ) -> PyRes<PyFix> {
+            let told = Told {
+                starts: starts_given!($([$step_kind $step])*),
+                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
+                contour: ContourOptions {
+                    $($step: contour_value!(py $step_kind $step),)*
+                    refinement: RefineOptions {
+                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
+                        $($refined: py_value!(py $refined_kind $refined),)*
+                        ..RefineOptions::default()
+                    },
+                },
+                fix_radius_m,
+            };
+            let parts = Parts { search: search.as_ref(), prior: prior.as_ref(), accept: accept.as_ref() };
+            matched(py, grid, track, sigma, weights, channels, |map| told.options(py, map, parts))
+        }
+
+        /// The options of `match_contour` for a map, made once: what a campaign hands on.
+        #[pyfunction(name = "_contour_settings")]
+        #[pyo3(signature = (grid, *, $($step = $step_default,)* $($start = $start_default,)* $($known = $known_default,)*
+            $($refined = $refined_default,)* search = None, prior = None, accept = None, fix_radius_m = None))]
+        #[allow(clippy::too_many_arguments)] // one each, keyword-only
+        pub fn contour_settings(
+            py: Python<'_>,
+            grid: &Bound<'_, PyAny>,
+            $($step: py_type!($step_kind),)*
+            $($start: py_type!($start_kind),)*
+            $($known: py_type!($known_kind),)*
+            $($refined: py_type!($refined_kind),)*
+            search: Option<Py<PySearchBox>>,
+            prior: Option<Py<PyInsPrior>>,
+            accept: Option<Py<PyAcceptance>>,
+            fix_radius_m: Option<f64>,
+        ) -> PyRes<PyContourSettings> {
+            let told = Told {
+                starts: starts_given!($([$step_kind $step])*),
+                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
+                contour: ContourOptions {
+                    $($step: contour_value!(py $step_kind $step),)*
+                    refinement: RefineOptions {
+                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
+                        $($refined: py_value!(py $refined_kind $refined),)*
+                        ..RefineOptions::default()
+                    },
+                },
+                fix_radius_m,
+            };
+            let parts = Parts { search: search.as_ref(), prior: prior.as_ref(), accept: accept.as_ref() };
+            let map = grid_map("grid", grid)?;
+            Ok(PyContourSettings { inner: told.options(py, &map, parts)? })
+        }
+
+        /// Contour matching over a sliding window: a fix a sample.
+        ///
+        /// Like a shift register: `length` samples are filled once, then each new sample replaces the oldest and the window is
+        /// matched at once, starting where the last one ended. Every point is estimated in up to `length` windows; the weighted
+        /// mean of these, weight 1 / max(mean squared contour distance, floor_m^2), is its delayed, better position.
+        ///
+        /// Parameters
+        /// ----------
+        /// grid : GridMap or MapStack
+        ///     The map; a stack needs `height_m`.
+        /// length : int
+        ///     Samples in the window.
+        /// sigma : float, optional
+        ///     Standard deviation of a measured value.
+        /// floor_m : float
+        ///     Least contour distance that the averaging believes, metres.
+        /// height_m : float, optional
+        ///     Height of the vehicle above the map's height datum: a map at another one is continued to it, a stack is read at it. Contours
+        ///     are those of one level; samples more than a tenth of a cell from it are refused.
+        $(#[doc = row_doc!($step; $step_python; $($step_line)+)])*
+        $(#[doc = row_doc!($start; $start_python; $($start_line)+)])*
+        $(#[doc = row_doc!($known; $known_python; $($known_line)+)])*
+        $(#[doc = row_doc!($refined; $refined_python; $($refined_line)+)])*
+        #[doc = shared_doc!(parts)]
+        /// fix_radius_m : float, optional
+        ///     Old name of `tolerance_m`; it warns.
+        ///
+        /// Notes
+        /// -----
+        /// `starts` is for the first window, and after a loss.
+        ///
+        /// Source: Bai and Wang, Computer Simulation 30(6), 2013. The weights printed there are illegible; these are ours.
+        ///
+        /// Examples
+        /// --------
+        /// >>> import numpy as np, geomag
+        /// >>> x = np.arange(0.0, 12000.0, 100.0)
+        /// >>> grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] * np.cos(x / 1100)[:, None], x, x)
+        /// >>> window = geomag.SlidingContour(grid, length=20, transform="translation", radius_m=600.0)
+        /// >>> for k in range(30):
+        /// ...     true = (3000.0 + 150 * k, 4000.0 + 90 * k)
+        /// ...     fix = window.update(true[0] - 200, true[1] + 100, grid.sample(*true))
+        /// >>> fix.status, [round(v / 10) * 10 for v in fix.offset_m], window.settled['number']
+        /// ('fixed', [200, -100], 9)
+        #[pyclass(frozen, name = "SlidingContour", module = "geomag")]
+        pub struct PySlidingContour {
+            inner: Shared<SlidingContour>,
+            grid: Py<PyAny>,
+        }
+
+        #[pymethods]
+        impl PySlidingContour {
+            #[new]
+            #[pyo3(signature = (grid, *, length, sigma = None, floor_m = 10.0, height_m = None,
+            $($step = $step_default,)* $($start = $start_default,)* $($known = $known_default,)*
+            $($refined = $refined_default,)* search = None, prior = None, accept = None, fix_radius_m = None))]
+            #[allow(clippy::too_many_arguments)] // one each, keyword-only
+            fn new(
+            py: Python<'_>,
+            grid: &Bound<'_, PyAny>,
+            length: usize,
+            sigma: Option<f64>,
+            floor_m: f64,
+            height_m: Option<f64>,
+            $($step: py_type!($step_kind),)*
+            $($start: py_type!($start_kind),)*
+            $($known: py_type!($known_kind),)*
+            $($refined: py_type!($refined_kind),)*
+            search: Option<Py<PySearchBox>>,
+            prior: Option<Py<PyInsPrior>>,
+            accept: Option<Py<PyAcceptance>>,
+            fix_radius_m: Option<f64>,
+            ) -> PyRes<Self> {
+            let told = Told {
+                starts: starts_given!($([$step_kind $step])*),
+                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
+                contour: ContourOptions {
+                    $($step: contour_value!(py $step_kind $step),)*
+                    refinement: RefineOptions {
+                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
+                        $($refined: py_value!(py $refined_kind $refined),)*
+                        ..RefineOptions::default()
+                    },
+                },
+                fix_radius_m,
+            };
+            let parts = Parts { search: search.as_ref(), prior: prior.as_ref(), accept: accept.as_ref() };
+                let level = height_m.map(|h| level_at("grid", grid, h)).transpose()?.map(Bound::into_any);
+                let grid = level.as_ref().unwrap_or(grid);
+                let map = grid_map("grid", grid)?;
+                let state = SlidingState::new(length, sigma, floor_m, told.options(py, &map, parts)?)?;
+                Ok(Self { inner: Shared::new(SlidingContour::new(map, state)), grid: grid.clone().unbind() })
+            }
+
+            /// Take one sample: indicated position (map units), measured value, and height where it is known, which must be that of the map.
+            /// Returns a `Fix`; `searching` until full.
+            #[pyo3(signature = (x, y, value, height_m = None))]
+            fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyFix> {
+                let step = self.inner.take(py, &Sample { place: [x, y], value, height_m })?;
+                Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
+            }
+
+            /// Take the samples of a track one by one. Returns a list of `Fix`.
+            fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<Vec<PyFix>> {
+                let track = track.on(py, self.grid.bind(py))?;
+                // Some hundred iterations of a few microseconds a sample.
+                let units = track.len() as u64 * 500_000;
+                let fixes = long_call::run(py, units, None, None, |monitor| {
+                    let one = |window: &mut SlidingContour, k: usize| {
+                        monitor.advance(k as u64, track.len() as u64)?;
+                        window.take(&Sample::of(&track, k), monitor)
+                    };
+                    let all =
+                        |window: &mut SlidingContour| (0..track.len()).map(|k| one(window, k)).collect::<Result<Vec<_>, _>>();
+                    self.inner.alone(all)
+                })?;
+                Ok(fixes.into_iter().filter_map(|step| step.fix).map(PyFix::from).collect())
+            }
+
+            /// Begin again: an empty window.
+            fn reset(&self, py: Python<'_>) -> PyRes<()> {
+                self.inner.begin_again(py)
+            }
+
+            /// The sample that left the window last: dict of number, x, y (weighted mean) and estimates; None before.
+            #[getter]
+            fn settled<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
+                self.inner.with(py, |s| s.state().settled()).map(|p| point_dict(py, &p)).transpose()
+            }
+
+            /// Samples in the window, oldest first, each a dict as `settled`.
+            #[getter]
+            fn averaged<'py>(&self, py: Python<'py>) -> PyRes<Vec<Bound<'py, PyDict>>> {
+                self.inner.with(py, |s| s.averaged()).iter().map(|p| point_dict(py, p)).collect()
+            }
+
+            /// Samples in a full window.
+            #[getter]
+            fn length(&self, py: Python<'_>) -> usize {
+                self.inner.with(py, |s| s.state().length())
+            }
+
+            /// Samples taken so far.
+            #[getter]
+            fn count(&self, py: Python<'_>) -> usize {
+                self.inner.seen(py)
+            }
+
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+                let py = slf.py();
+                let bytes = slf.get().inner.saved(py)?;
+                Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
+            }
+
+            #[staticmethod]
+            fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
+                let inner = Shared::new(SlidingContour::restore(grid_map("grid", grid)?, bytes)?);
+                Ok(Self { inner, grid: grid.clone().unbind() })
+            }
+
+            fn __repr__(&self, py: Python<'_>) -> String {
+                self.inner.with(py, |s| format!("SlidingContour(length {}, {} samples taken)", s.state().length(), s.seen()))
+            }
+        }
+    };
+}
+
+common_options!(contour_options starts_options motion_prior_options refine_options contour_calls);
+
+/// Options of `match_contour` for a map.
+#[pyclass(frozen, name = "_ContourSettings", module = "geomag")]
+pub struct PyContourSettings {
+    pub inner: ContourOptions,
+}
+
+fn matched(
     py: Python<'_>,
     grid: &Bound<'_, PyAny>,
     track: &PyTrack,
     sigma: Option<f64>,
     weights: Option<&Bound<'_, PyAny>>,
     channels: Option<Vec<OtherChannel<'_>>>,
-    options: Option<&Bound<'_, PyDict>>,
+    options: impl FnOnce(&GridMap) -> PyRes<ContourOptions>,
 ) -> PyRes<PyFix> {
     let track = track.on(py, grid)?;
     let map = level_for("grid", grid, &track)?;
-    let options = contour_options(&map, options)?;
+    let options = options(&map)?;
     let weights = optional_vector("weights", weights)?;
     let mut others = Vec::new();
     for (i, (grid, values, sigma)) in channels.unwrap_or_default().iter().enumerate() {
@@ -361,50 +634,6 @@ fn work(options: &ContourOptions, samples: usize, channels: usize) -> u64 {
     (channels as f64 * (samples * (10.0 * candidates + 100.0 * starts * iterations) + starts * refinement)) as u64
 }
 
-/// Contour matching over a sliding window: a fix a sample.
-///
-/// Like a shift register: `length` samples are filled once, then each new sample replaces the oldest and the window is
-/// matched at once, starting where the last one ended. Every point is estimated in up to `length` windows; the weighted
-/// mean of these, weight 1 / max(mean squared contour distance, floor_m^2), is its delayed, better position.
-///
-/// Parameters
-/// ----------
-/// grid : GridMap or MapStack
-///     The map; a stack needs `height_m`.
-/// length : int
-///     Samples in the window.
-/// sigma : float, optional
-///     Standard deviation of a measured value.
-/// floor_m : float
-///     Least contour distance that the averaging believes, metres.
-/// height_m : float, optional
-///     Height of the vehicle above the map's height datum: a map at another one is continued to it, a stack is read at it. Contours
-///     are those of one level; samples more than a tenth of a cell from it are refused.
-/// **options
-///     As for `match_contour` (transform, radius_m, refine, priors, ...); `starts` is for the first window, and after a
-///     loss.
-///
-/// Notes
-/// -----
-/// Source: Bai and Wang, Computer Simulation 30(6), 2013. The weights printed there are illegible; these are ours.
-///
-/// Examples
-/// --------
-/// >>> import numpy as np, geomag
-/// >>> x = np.arange(0.0, 12000.0, 100.0)
-/// >>> grid = geomag.GridMap(90 * np.sin(x / 900)[None, :] * np.cos(x / 1100)[:, None], x, x)
-/// >>> window = geomag.SlidingContour(grid, length=20, transform="translation", radius_m=600.0)
-/// >>> for k in range(30):
-/// ...     true = (3000.0 + 150 * k, 4000.0 + 90 * k)
-/// ...     fix = window.update(true[0] - 200, true[1] + 100, grid.sample(*true))
-/// >>> fix.status, [round(v / 10) * 10 for v in fix.offset_m], window.settled['number']
-/// ('fixed', [200, -100], 9)
-#[pyclass(frozen, name = "SlidingContour", module = "geomag")]
-pub struct PySlidingContour {
-    inner: Shared<SlidingContour>,
-    grid: Py<PyAny>,
-}
-
 fn point_dict<'py>(py: Python<'py>, p: &AveragedPoint) -> PyRes<Bound<'py, PyDict>> {
     let d = PyDict::new(py);
     d.set_item("number", p.number)?;
@@ -412,102 +641,4 @@ fn point_dict<'py>(py: Python<'py>, p: &AveragedPoint) -> PyRes<Bound<'py, PyDic
     d.set_item("y", p.y)?;
     d.set_item("estimates", p.estimates)?;
     Ok(d)
-}
-
-#[pymethods]
-impl PySlidingContour {
-    #[new]
-    #[pyo3(
-        signature = (grid, *, length, sigma = None, floor_m = 10.0, height_m = None, **options),
-        text_signature = "(grid, *, length, sigma=None, floor_m=10.0, height_m=None, transform='rigid', radius_m=None, \
-            starts='indicated', refine=False, stiffness=0.0, tolerance_m=1.0, max_iterations=300, min_points=None, acceleration=0, \
-            max_rotation_deg=None, offset_sigma_m=None, heading_sigma_deg=None, scale_sigma=None, bias_sigma=None, \
-            interpolation='bicubic', map_correlation_m=None, min_overlap=0.8, fix_radius_m=None, max_risk=0.01, \
-            min_goodness=0.001, half_width_m=None, step_m=None, keep_starts=12, max_candidates=1000000)"
-    )]
-    fn new(
-        grid: &Bound<'_, PyAny>,
-        length: usize,
-        sigma: Option<f64>,
-        floor_m: f64,
-        height_m: Option<f64>,
-        options: Option<&Bound<'_, PyDict>>,
-    ) -> PyRes<Self> {
-        let level = height_m.map(|h| level_at("grid", grid, h)).transpose()?.map(Bound::into_any);
-        let grid = level.as_ref().unwrap_or(grid);
-        let map = grid_map("grid", grid)?;
-        let options = contour_options(&map, options)?;
-        let state = SlidingState::new(length, sigma, floor_m, options)?;
-        Ok(Self { inner: Shared::new(SlidingContour::new(map, state)), grid: grid.clone().unbind() })
-    }
-
-    /// Take one sample: indicated position (map units), measured value, and height where it is known, which must be that of the map.
-    /// Returns a `Fix`; `searching` until full.
-    #[pyo3(signature = (x, y, value, height_m = None))]
-    fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyFix> {
-        let step = self.inner.take(py, &Sample { place: [x, y], value, height_m })?;
-        Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
-    }
-
-    /// Take the samples of a track one by one. Returns a list of `Fix`.
-    fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<Vec<PyFix>> {
-        let track = track.on(py, self.grid.bind(py))?;
-        // Some hundred iterations of a few microseconds a sample.
-        let units = track.len() as u64 * 500_000;
-        let fixes = long_call::run(py, units, None, None, |monitor| {
-            let one = |window: &mut SlidingContour, k: usize| {
-                monitor.advance(k as u64, track.len() as u64)?;
-                window.take(&Sample::of(&track, k), monitor)
-            };
-            let all =
-                |window: &mut SlidingContour| (0..track.len()).map(|k| one(window, k)).collect::<Result<Vec<_>, _>>();
-            self.inner.alone(all)
-        })?;
-        Ok(fixes.into_iter().filter_map(|step| step.fix).map(PyFix::from).collect())
-    }
-
-    /// Begin again: an empty window.
-    fn reset(&self, py: Python<'_>) -> PyRes<()> {
-        self.inner.begin_again(py)
-    }
-
-    /// The sample that left the window last: dict of number, x, y (weighted mean) and estimates; None before.
-    #[getter]
-    fn settled<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyDict>>> {
-        self.inner.with(py, |s| s.state().settled()).map(|p| point_dict(py, &p)).transpose()
-    }
-
-    /// Samples in the window, oldest first, each a dict as `settled`.
-    #[getter]
-    fn averaged<'py>(&self, py: Python<'py>) -> PyRes<Vec<Bound<'py, PyDict>>> {
-        self.inner.with(py, |s| s.averaged()).iter().map(|p| point_dict(py, p)).collect()
-    }
-
-    /// Samples in a full window.
-    #[getter]
-    fn length(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |s| s.state().length())
-    }
-
-    /// Samples taken so far.
-    #[getter]
-    fn count(&self, py: Python<'_>) -> usize {
-        self.inner.seen(py)
-    }
-
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = slf.get().inner.saved(py)?;
-        Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
-    }
-
-    #[staticmethod]
-    fn _restore(grid: &Bound<'_, PyAny>, bytes: &[u8]) -> PyRes<Self> {
-        let inner = Shared::new(SlidingContour::restore(grid_map("grid", grid)?, bytes)?);
-        Ok(Self { inner, grid: grid.clone().unbind() })
-    }
-
-    fn __repr__(&self, py: Python<'_>) -> String {
-        self.inner.with(py, |s| format!("SlidingContour(length {}, {} samples taken)", s.state().length(), s.seen()))
-    }
 }

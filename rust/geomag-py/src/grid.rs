@@ -25,12 +25,10 @@ pub fn interpolation(name: &str) -> PyRes<Interpolation> {
 }
 
 /// The same where `method` is still given, its old name.
-pub fn read_by(py: Python<'_>, name: &str, method: Option<&str>) -> PyRes<Interpolation> {
-    if let Some(old) = method {
-        crate::options::old_name(py, "method", "interpolation")?;
-        return interpolation(old);
-    }
-    interpolation(name)
+pub fn read_by(py: Python<'_>, told: Interpolation, method: Option<&str>) -> PyRes<Interpolation> {
+    let Some(old) = method else { return Ok(told) };
+    crate::options::old_name(py, "method", "interpolation")?;
+    interpolation(old)
 }
 
 /// A regular grid of field values: the stored map that matchers compare with.
@@ -106,6 +104,11 @@ struct Labels {
 
 impl PyGridMap {
     /// A map made on the Rust side.
+    /// A map without labels.
+    pub fn of(inner: Arc<GridMap>) -> Self {
+        Self { inner, labels: Labels::default(), turned: [false; 2] }
+    }
+
     pub fn from_core(inner: GridMap, name: Option<String>, units: Option<String>, crs: Option<String>) -> Self {
         let labels = Labels { name, units, crs, line_spacing_m: None };
         Self { inner: Arc::new(inner), labels, turned: [false; 2] }
@@ -590,7 +593,7 @@ impl PyGridMap {
         interpolation: &str,
         method: Option<&str>,
     ) -> PyRes<Bound<'py, PyAny>> {
-        let interpolation = read_by(py, interpolation, method)?;
+        let interpolation = read_by(py, self::interpolation(interpolation)?, method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
         let values = crate::pool::detached(py, || self.inner.sample_many(&x, &y, interpolation));
         shaped(py, values, &shape)
@@ -606,7 +609,7 @@ impl PyGridMap {
         interpolation: &str,
         method: Option<&str>,
     ) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
-        let interpolation = read_by(py, interpolation, method)?;
+        let interpolation = read_by(py, self::interpolation(interpolation)?, method)?;
         let ([x, y], shape) = broadcast(["x", "y"], [x, y])?;
         let (east, north) = crate::pool::detached(py, || {
             x.iter()

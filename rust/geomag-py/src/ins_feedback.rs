@@ -1,6 +1,7 @@
 //! `InsFeedback` and its steps.
 
 use geomag_core::error::Error;
+use geomag_core::ins_feedback_options;
 use geomag_core::navigation::ins_feedback::{CorrectedPosition, FeedbackStep, InsErrorModel, InsFeedback};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
@@ -105,163 +106,160 @@ impl PyFeedbackStep {
     }
 }
 
-/// The horizontal error of an INS, followed from fix to fix.
-///
-/// A linear Kalman filter of position, velocity and heading error. A fix is tested by its normalised innovation and
-/// refused beyond the gate. Its heading error turns the indicated velocity, as in dead reckoning with an odometer, a log or an
-/// airspeed; in an INS a heading error acts through the Earth's rate instead, which `navigate` models. Not for attitude or
-/// height.
-///
-/// Parameters
-/// ----------
-/// position_sigma_m, velocity_sigma_m_s, heading_sigma_deg : float
-///     Errors at the start (each axis).
-/// position_walk_m_sqrt_s, velocity_walk_m_s_sqrt_s, heading_walk_deg_sqrt_s : float
-///     Random walks, per square root of a second. Without the last word they are old names, which warn.
-/// velocity_time_constant_s : float
-///     Time after which a velocity error has forgotten itself; inf is a pure random walk.
-/// geographic : bool
-///     Positions are longitude and latitude.
-/// gate_probability : float
-///     Share of good fixes that the gate lets through.
-///
-/// Notes
-/// -----
-/// Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, chapters 3 and 14,
-/// reduced to the horizontal plane.
-///
-/// Examples
-/// --------
-/// >>> import geomag
-/// >>> feedback = geomag.InsFeedback(position_sigma_m=500.0)
-/// >>> _ = feedback.step(0.0, 0.0, 0.0)
-/// >>> step = feedback.step(60.0, 600.0, 0.0, offset_m=(300.0, -200.0), covariance_m2=[[2500.0, 0.0], [0.0, 2500.0]])
-/// >>> step.accepted, [round(v, -1) for v in step.after.offset_m]
-/// (True, [300.0, -200.0])
-#[pyclass(frozen, name = "InsFeedback", module = "geomag")]
-pub struct PyInsFeedback {
-    inner: Shared<InsFeedback>,
-}
+macro_rules! ins_feedback_class {
+    (
+        model [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*]
+        stream [$(($of:ident: $of_kind:ident = $of_default:tt; $of_python:literal; $($of_line:literal)+))*]
+    ) => {
+        /// The horizontal error of an INS, followed from fix to fix.
+        ///
+        /// A linear Kalman filter of position, velocity and heading error. A fix is tested by its normalised innovation and
+        /// refused beyond the gate. Its heading error turns the indicated velocity, as in dead reckoning with an odometer, a log or an
+        /// airspeed; in an INS a heading error acts through the Earth's rate instead, which `navigate` models. Not for attitude or
+        /// height.
+        ///
+        /// Parameters
+        /// ----------
+        $(#[doc = row_doc!($name; $python; $($line)+)])*
+        $(#[doc = row_doc!($of; $of_python; $($of_line)+)])*
+        /// position_walk_m, velocity_walk_m_s, heading_walk_deg : float, optional
+        ///     Old names of the walks, which warn.
+        ///
+        /// Notes
+        /// -----
+        /// Source: Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, chapters 3 and 14,
+        /// reduced to the horizontal plane.
+        ///
+        /// Examples
+        /// --------
+        /// >>> import geomag
+        /// >>> feedback = geomag.InsFeedback(position_sigma_m=500.0)
+        /// >>> _ = feedback.step(0.0, 0.0, 0.0)
+        /// >>> step = feedback.step(60.0, 600.0, 0.0, offset_m=(300.0, -200.0), covariance_m2=[[2500.0, 0.0], [0.0, 2500.0]])
+        /// >>> step.accepted, [round(v, -1) for v in step.after.offset_m]
+        /// (True, [300.0, -200.0])
+        #[pyclass(frozen, name = "InsFeedback", module = "geomag")]
+        pub struct PyInsFeedback {
+            inner: Shared<InsFeedback>,
+        }
 
-#[pymethods]
-impl PyInsFeedback {
-    #[new]
-    #[pyo3(signature = (*, position_sigma_m = 500.0, velocity_sigma_m_s = 0.5, heading_sigma_deg = 0.1,
-                        position_walk_m_sqrt_s = 0.1, velocity_walk_m_s_sqrt_s = 0.001, heading_walk_deg_sqrt_s = 0.0005,
-                        velocity_time_constant_s = f64::INFINITY, geographic = false, gate_probability = 0.999,
-                        position_walk_m = None, velocity_walk_m_s = None, heading_walk_deg = None))]
-    #[allow(clippy::too_many_arguments)] // one each, keyword-only
-    fn new(
-        py: Python<'_>,
-        position_sigma_m: f64,
-        velocity_sigma_m_s: f64,
-        heading_sigma_deg: f64,
-        position_walk_m_sqrt_s: f64,
-        velocity_walk_m_s_sqrt_s: f64,
-        heading_walk_deg_sqrt_s: f64,
-        velocity_time_constant_s: f64,
-        geographic: bool,
-        gate_probability: f64,
-        position_walk_m: Option<f64>,
-        velocity_walk_m_s: Option<f64>,
-        heading_walk_deg: Option<f64>,
-    ) -> PyRes<Self> {
-        let walk = |new: f64, old: Option<f64>, name: &str| -> PyRes<f64> {
-            let Some(old) = old else { return Ok(new) };
-            old_name(py, name, &format!("{name}_sqrt_s"))?;
-            Ok(old)
-        };
-        let model = InsErrorModel {
-            position_sigma_m,
-            velocity_sigma_m_s,
-            heading_sigma_deg,
-            position_walk_m_sqrt_s: walk(position_walk_m_sqrt_s, position_walk_m, "position_walk_m")?,
-            velocity_walk_m_s_sqrt_s: walk(velocity_walk_m_s_sqrt_s, velocity_walk_m_s, "velocity_walk_m_s")?,
-            heading_walk_deg_sqrt_s: walk(heading_walk_deg_sqrt_s, heading_walk_deg, "heading_walk_deg")?,
-            velocity_time_constant_s,
-        };
-        Ok(Self { inner: Shared::new(InsFeedback::new(model, geographic, gate_probability)?) })
-    }
+        /// What a stream is told beside its model.
+        struct Of {
+            $($of: py_type!($of_kind),)*
+        }
 
-    /// Advance to an indicated position at a time, and take a fix of it where there is one.
-    ///
-    /// The fix is either `fix`, a matcher's answer for this very position (not used unless ``fix.ok`` and it has a
-    /// covariance or is given `covariance_m2`), or `offset_m` (true minus indicated, east and north) with
-    /// `covariance_m2`. Returns a `FeedbackStep`.
-    #[pyo3(signature = (time_s, x, y, fix = None, *, offset_m = None, covariance_m2 = None))]
-    #[allow(clippy::too_many_arguments)] // one each, keyword-only
-    fn step(
-        &self,
-        py: Python<'_>,
-        time_s: f64,
-        x: f64,
-        y: f64,
-        fix: Option<&PyFix>,
-        offset_m: Option<&Bound<'_, PyAny>>,
-        covariance_m2: Option<&Bound<'_, PyAny>>,
-    ) -> PyRes<PyFeedbackStep> {
-        let covariance = covariance_m2.map(covariance).transpose()?;
-        let offset = offset_m.map(|o| pair("offset_m", o)).transpose()?;
-        let inner = match (fix, offset) {
-            (Some(_), Some(_)) => return Err(invalid("step", "fix or offset_m", "both")),
-            (Some(fix), None) => self.inner.with(py, |f| f.step_with_fix(time_s, x, y, &fix.inner, covariance))?,
-            (None, Some(offset)) => {
-                let covariance = covariance.ok_or_else(|| invalid("covariance_m2", "(2, 2) with offset_m", "None"))?;
-                self.inner.with(py, |f| f.step(time_s, x, y, Some((offset, covariance))))?
+        #[pymethods]
+        impl PyInsFeedback {
+            #[new]
+            #[pyo3(signature = (*, $($name = $default,)* $($of = $of_default,)*
+                position_walk_m = None, velocity_walk_m_s = None, heading_walk_deg = None))]
+            #[allow(clippy::too_many_arguments)] // one each, keyword-only
+            fn new(
+                py: Python<'_>,
+                $($name: py_type!($kind),)*
+                $($of: py_type!($of_kind),)*
+                position_walk_m: Option<f64>,
+                velocity_walk_m_s: Option<f64>,
+                heading_walk_deg: Option<f64>,
+            ) -> PyRes<Self> {
+                let mut model = InsErrorModel { $($name: py_value!(py $kind $name),)* };
+                for (old, name, new) in [
+                    (position_walk_m, "position_walk_m", &mut model.position_walk_m_sqrt_s),
+                    (velocity_walk_m_s, "velocity_walk_m_s", &mut model.velocity_walk_m_s_sqrt_s),
+                    (heading_walk_deg, "heading_walk_deg", &mut model.heading_walk_deg_sqrt_s),
+                ] {
+                    if let Some(old) = old {
+                        old_name(py, name, &format!("{name}_sqrt_s"))?;
+                        *new = old;
+                    }
+                }
+                let of = Of { $($of,)* };
+                Ok(Self { inner: Shared::new(InsFeedback::new(model, of.geographic, of.gate_probability)?) })
             }
-            (None, None) => self.inner.with(py, |f| f.step(time_s, x, y, None))?,
-        };
-        Ok(PyFeedbackStep { inner })
-    }
 
-    /// Estimated velocity error, m/s (east, north).
-    #[getter]
-    fn velocity_error_m_s(&self, py: Python<'_>) -> (f64, f64) {
-        self.inner.with(py, |f| f.velocity_error_m_s()).into()
-    }
+            /// Advance to an indicated position at a time, and take a fix of it where there is one.
+            ///
+            /// The fix is either `fix`, a matcher's answer for this very position (not used unless ``fix.ok`` and it has a
+            /// covariance or is given `covariance_m2`), or `offset_m` (true minus indicated, east and north) with
+            /// `covariance_m2`. Returns a `FeedbackStep`.
+            #[pyo3(signature = (time_s, x, y, fix = None, *, offset_m = None, covariance_m2 = None))]
+            #[allow(clippy::too_many_arguments)] // one each, keyword-only
+            fn step(
+                &self,
+                py: Python<'_>,
+                time_s: f64,
+                x: f64,
+                y: f64,
+                fix: Option<&PyFix>,
+                offset_m: Option<&Bound<'_, PyAny>>,
+                covariance_m2: Option<&Bound<'_, PyAny>>,
+            ) -> PyRes<PyFeedbackStep> {
+                let covariance = covariance_m2.map(covariance).transpose()?;
+                let offset = offset_m.map(|o| pair("offset_m", o)).transpose()?;
+                let inner = match (fix, offset) {
+                    (Some(_), Some(_)) => return Err(invalid("step", "fix or offset_m", "both")),
+                    (Some(fix), None) => self.inner.with(py, |f| f.step_with_fix(time_s, x, y, &fix.inner, covariance))?,
+                    (None, Some(offset)) => {
+                        let covariance = covariance.ok_or_else(|| invalid("covariance_m2", "(2, 2) with offset_m", "None"))?;
+                        self.inner.with(py, |f| f.step(time_s, x, y, Some((offset, covariance))))?
+                    }
+                    (None, None) => self.inner.with(py, |f| f.step(time_s, x, y, None))?,
+                };
+                Ok(PyFeedbackStep { inner })
+            }
 
-    /// Estimated heading error, degrees clockwise.
-    #[getter]
-    fn heading_error_deg(&self, py: Python<'_>) -> f64 {
-        self.inner.with(py, |f| f.heading_error_deg())
-    }
+            /// Estimated velocity error, m/s (east, north).
+            #[getter]
+            fn velocity_error_m_s(&self, py: Python<'_>) -> (f64, f64) {
+                self.inner.with(py, |f| f.velocity_error_m_s()).into()
+            }
 
-    /// State: position error east, north (m), velocity error east, north (m/s), heading error (rad).
-    #[getter]
-    fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.with(py, |f| f.filter().state().to_vec()), &[5])
-    }
+            /// Estimated heading error, degrees clockwise.
+            #[getter]
+            fn heading_error_deg(&self, py: Python<'_>) -> f64 {
+                self.inner.with(py, |f| f.heading_error_deg())
+            }
 
-    /// Covariance of the state, (5, 5).
-    #[getter]
-    fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.with(py, |f| f.filter().covariance().as_slice().to_vec()), &[5, 5])
-    }
+            /// State: position error east, north (m), velocity error east, north (m/s), heading error (rad).
+            #[getter]
+            fn state<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                shaped(py, self.inner.with(py, |f| f.filter().state().to_vec()), &[5])
+            }
 
-    /// Fixes used so far.
-    #[getter]
-    fn accepted(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |f| f.accepted())
-    }
+            /// Covariance of the state, (5, 5).
+            #[getter]
+            fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                shaped(py, self.inner.with(py, |f| f.filter().covariance().as_slice().to_vec()), &[5, 5])
+            }
 
-    /// Fixes refused so far.
-    #[getter]
-    fn refused(&self, py: Python<'_>) -> usize {
-        self.inner.with(py, |f| f.refused())
-    }
+            /// Fixes used so far.
+            #[getter]
+            fn accepted(&self, py: Python<'_>) -> usize {
+                self.inner.with(py, |f| f.accepted())
+            }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |f| state::save(f))?);
-        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
-    }
+            /// Fixes refused so far.
+            #[getter]
+            fn refused(&self, py: Python<'_>) -> usize {
+                self.inner.with(py, |f| f.refused())
+            }
 
-    #[staticmethod]
-    fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self { inner: Shared::new(state::load(bytes)?) })
-    }
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+                let py = slf.py();
+                let bytes = PyBytes::new(py, &slf.get().inner.with(py, |f| state::save(f))?);
+                Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+            }
 
-    fn __repr__(&self, py: Python<'_>) -> String {
-        self.inner.with(py, |f| format!("InsFeedback({} fixes used, {} refused)", f.accepted(), f.refused()))
-    }
+            #[staticmethod]
+            fn _restore(bytes: &[u8]) -> PyRes<Self> {
+                Ok(Self { inner: Shared::new(state::load(bytes)?) })
+            }
+
+            fn __repr__(&self, py: Python<'_>) -> String {
+                self.inner.with(py, |f| format!("InsFeedback({} fixes used, {} refused)", f.accepted(), f.refused()))
+            }
+        }
+    };
 }
+
+ins_feedback_options!(ins_feedback_class);

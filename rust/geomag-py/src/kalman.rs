@@ -174,9 +174,9 @@ impl PyUnscentedKalmanFilter {
 
     /// Takes in a measurement `z` (m,) with the model `h` (state (n,) to measurement (m,)) and its noise `R` (m, m).
     ///
-    /// A measurement whose normalised innovation squared exceeds `gate` changes nothing. Returns whether it was taken. Raises as
+    /// A measurement whose normalised innovation squared exceeds `max_nis` changes nothing. Returns whether it was taken. Raises as
     /// `predict`.
-    #[pyo3(signature = (z, h, R, *, gate = None))]
+    #[pyo3(signature = (z, h, R, *, max_nis = None))]
     #[allow(non_snake_case)] // R as in every text on filters
     fn update(
         &self,
@@ -184,13 +184,13 @@ impl PyUnscentedKalmanFilter {
         z: &Bound<'_, PyAny>,
         h: &Bound<'_, PyAny>,
         R: &Bound<'_, PyAny>,
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> PyRes<bool> {
         let z = vector("z", z)?;
         let n = self.inner.with(py, |f| f.estimate().len());
         let (model, r) = (Model::new("h", h, n)?, covariance("R", z.len(), R)?);
         self.change(py, |filter| {
-            Ok(filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, gate)?.accepted)
+            Ok(filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, max_nis)?.accepted)
         })
     }
 
@@ -361,8 +361,8 @@ impl PyExtendedKalmanFilter {
 
     /// Takes in a measurement `z` (m,) where `expected` (m,) was to be read, `H` (m, n) its derivative, `R` (m, m) its noise.
     ///
-    /// `gate` and the answer are those of `UnscentedKalmanFilter.update`.
-    #[pyo3(signature = (z, expected, H, R, *, gate = None))]
+    /// `max_nis` and the answer are those of `UnscentedKalmanFilter.update`.
+    #[pyo3(signature = (z, expected, H, R, *, max_nis = None))]
     #[allow(non_snake_case)] // H, R as in every text on filters
     #[allow(clippy::too_many_arguments)] // one each
     fn update(
@@ -372,12 +372,12 @@ impl PyExtendedKalmanFilter {
         expected: &Bound<'_, PyAny>,
         H: &Bound<'_, PyAny>,
         R: &Bound<'_, PyAny>,
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> PyRes<bool> {
         let (z, expected) = (vector("z", z)?, vector("expected", expected)?);
         let (h, _, _) = crate::arrays::matrix("H", H)?;
         let r = covariance("R", z.len(), R)?;
-        Ok(self.inner.with(py, |filter| filter.update(&z, &expected, &h, &r, gate).map(|i| i.accepted))?)
+        Ok(self.inner.with(py, |filter| filter.update(&z, &expected, &h, &r, max_nis).map(|i| i.accepted))?)
     }
 
     /// State, (n,).

@@ -55,7 +55,9 @@ mod _geomag {
     #[pymodule_export]
     use crate::compensation::{PyCompensator, tolles_lawson_terms};
     #[pymodule_export]
-    use crate::contour::{PySlidingContour, py_closest_contour_point, py_fit_transform, py_match_contour};
+    use crate::contour::{
+        PySlidingContour, contour_settings, py_closest_contour_point, py_fit_transform, py_match_contour,
+    };
     #[pymodule_export]
     use crate::fix::PyFix;
     #[pymodule_export]

@@ -2,12 +2,53 @@
 
 use pyo3::prelude::*;
 
-use crate::arrays::pair;
-use crate::error::{PyError, PyRes};
+use crate::arrays::{pair, vector};
+use crate::error::{PyError, PyRes, invalid};
 
 /// A row as numpydoc has it.
 macro_rules! row_doc {
     ($name:ident; $python:literal; $($line:literal)+) => { concat!(stringify!($name), " : ", $python $(, "\n    ", $line)+) };
+}
+
+/// Arguments that are no options of the core, each explained once.
+macro_rules! shared_doc {
+    (grid) => {
+        "grid : GridMap, MapStack or HarmonicMap\n    The stored map."
+    };
+    (track) => {
+        "track : Track\n    Indicated positions and measured values."
+    };
+    (search) => {
+        "search : SearchBox, optional\n    Where to look, in place of the keywords of the same names."
+    };
+    (channels) => {
+        concat!(
+            "channels : sequence of (GridMap, values, sigma), optional\n",
+            "    Further fields measured along the same track, each with its own map."
+        )
+    };
+    (sigma) => {
+        concat!(
+            "sigma : float, optional\n",
+            "    Standard deviation of the sensor, value units; by default what the map's own lines say."
+        )
+    };
+    (parts) => {
+        concat!(
+            "search : SearchBox, optional\n    Where to look, in place of the keywords of the same names.\n",
+            "prior : InsPrior, optional\n    What the INS may be wrong by beside the offset, likewise.\n",
+            "accept : Acceptance, optional\n    What counts as a fix, likewise."
+        )
+    };
+    (threads) => {
+        concat!(
+            "threads : int, optional\n",
+            "    Threads to use, 1 to 512, all cores by default; the answers do not depend on it."
+        )
+    };
+    (progress) => {
+        "progress : bool or callable, optional\n    True for a bar, or a callable (done, total)."
+    };
 }
 
 /// The type that is extracted from Python.
@@ -15,9 +56,21 @@ macro_rules! py_type {
     (number) => { f64 };
     (maybe_number) => { Option<f64> };
     (maybe_pair) => { Option<Py<PyAny>> };
-    (count) => { u64 };
-    (size) => { usize };
+    (count) => { i128 };
+    (size) => { i128 };
     (interpolation) => { &str };
+    (flag) => { bool };
+    (tally) => { i128 };
+    (maybe_size) => { Option<i128> };
+    (maybe_name) => { Option<&str> };
+    (reach) => { Option<f64> };
+    (headings) => { Option<Py<PyAny>> };
+    (scales) => { Option<Py<PyAny>> };
+    (weights) => { Option<Py<PyAny>> };
+    (starts) => { Option<Py<PyAny>> };
+    (pivot) => { &str };
+    (unknown) => { &str };
+    (transform) => { &str };
 }
 
 /// The type that Python is answered with.
@@ -36,6 +89,39 @@ macro_rules! py_value {
     };
     ($py:ident interpolation $name:ident) => {
         $crate::options::interpolation($name)?
+    };
+    ($py:ident count $name:ident) => {
+        $crate::options::whole(stringify!($name), $name)?
+    };
+    ($py:ident size $name:ident) => {
+        $crate::options::whole(stringify!($name), $name)?
+    };
+    ($py:ident tally $name:ident) => {
+        $crate::options::whole(stringify!($name), $name)?
+    };
+    ($py:ident maybe_size $name:ident) => {
+        $name.map(|n| $crate::options::whole(stringify!($name), n)).transpose()?
+    };
+    ($py:ident reach $name:ident) => {
+        $name.unwrap_or(f64::INFINITY)
+    };
+    ($py:ident headings $name:ident) => {
+        $crate::options::vector_or($py, stringify!($name), $name.as_ref(), 0.0)?
+    };
+    ($py:ident scales $name:ident) => {
+        $crate::options::vector_or($py, stringify!($name), $name.as_ref(), 1.0)?
+    };
+    ($py:ident weights $name:ident) => {
+        $crate::arrays::optional_vector(stringify!($name), $name.as_ref().map(|w| w.bind($py)))?
+    };
+    ($py:ident pivot $name:ident) => {
+        $crate::grid_search::pivot($name)?
+    };
+    ($py:ident unknown $name:ident) => {
+        $crate::iema::unknown($name)?
+    };
+    ($py:ident transform $name:ident) => {
+        $crate::contour::transform_kind($name)?
     };
     ($py:ident $kind:ident $name:ident) => {
         $name
@@ -125,6 +211,16 @@ macro_rules! record_class {
 /// A pair in Python, where there is one.
 pub fn maybe_pair(py: Python<'_>, name: &str, given: Option<&Py<PyAny>>) -> PyRes<Option<[f64; 2]>> {
     given.map(|value| pair(name, value.bind(py))).transpose()
+}
+
+/// A whole number that is not negative and not larger than its type.
+pub fn whole<T: TryFrom<i128>>(name: &str, given: i128) -> PyRes<T> {
+    T::try_from(given).map_err(|_| invalid(name, "a whole number >= 0", given))
+}
+
+/// Numbers in Python, or one that stands for them.
+pub fn vector_or(py: Python<'_>, name: &str, given: Option<&Py<PyAny>>, default: f64) -> PyRes<Vec<f64>> {
+    given.map_or(Ok(vec![default]), |value| vector(name, value.bind(py)))
 }
 
 pub use crate::grid::interpolation;

@@ -224,7 +224,7 @@ fn setting_dict<'py>(py: Python<'py>, s: &Setting) -> PyRes<Bound<'py, PyDict>> 
 ///     the cost time.
 /// draws, seed : int
 ///     Number of draws, at most 1,000,000 and 2^28 samples in all, and their seed.
-/// transform, radius_m, tolerance_m, max_iterations
+/// transform, radius_m, converged_m, max_iterations
 ///     As for `match_contour`; the radius is three times `offset_m` by default.
 /// method : {'exhaustive', 'bpso'}
 ///     Every setting, in parallel; or binary particle swarm (`particles`, `iterations`, at most 1,000,000 each). There may
@@ -259,7 +259,7 @@ fn setting_dict<'py>(py: Python<'py>, s: &Setting) -> PyRes<Bound<'py, PyDict>> 
 #[pyo3(signature = (grid, track, *, sigma, offset_m, heading_sigma_deg = 0.0, scale_sigma = 0.0, min_length = 3,
                     max_length = None, quanta = None, weights = (0.5, 0.5), error_range_m = None, cost_range = None,
                     cost_per_work = 1.0, draws = 30, seed = 0, transform = "rigid", radius_m = None,
-                    tolerance_m = 1.0, max_iterations = 300, method = "exhaustive", particles = 30,
+                    converged_m = 1.0, max_iterations = 300, method = "exhaustive", particles = 30,
                     iterations = 100, threads = None, progress = None))]
 #[allow(clippy::too_many_arguments)] // one each, keyword-only
 pub fn py_tune_sequence<'py>(
@@ -281,7 +281,7 @@ pub fn py_tune_sequence<'py>(
     seed: u64,
     transform: &str,
     radius_m: Option<f64>,
-    tolerance_m: f64,
+    converged_m: f64,
     max_iterations: usize,
     method: &str,
     particles: usize,
@@ -309,7 +309,7 @@ pub fn py_tune_sequence<'py>(
         matching: ContourOptions {
             transform: transform_kind(transform)?,
             radius_m: radius_m.unwrap_or(default_radius),
-            tolerance_m,
+            converged_m,
             max_iterations,
             ..ContourOptions::default()
         },

@@ -102,7 +102,7 @@ impl PyMapStack {
         interpolation: &str,
         method: Option<&str>,
     ) -> PyRes<Bound<'py, PyAny>> {
-        let interpolation = read_by(py, interpolation, method)?;
+        let interpolation = read_by(py, crate::grid::interpolation(interpolation)?, method)?;
         let ([x, y, h], shape) = broadcast(["x", "y", "height_m"], [x, y, height_m])?;
         let sample = |i: usize| self.inner.sample(x[i], y[i], h[i], interpolation);
         let values = crate::pool::detached(py, || (0..x.len()).map(sample).collect());

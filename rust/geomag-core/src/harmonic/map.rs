@@ -64,7 +64,7 @@ impl Quantity {
         if let Self::Projection(main) | Self::Anomaly(main) | Self::Intensity(main) | Self::ProjectedIntensity(main) =
             self
         {
-            require_finite("main_field", &main)?;
+            crate::bounds::require_values("main_field", &main)?;
             if norm(main) == 0.0 {
                 return Err(Error::invalid("main_field", "a vector of length > 0", "a zero vector"));
             }

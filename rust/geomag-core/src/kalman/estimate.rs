@@ -317,7 +317,7 @@ impl Estimate {
 pub(super) fn check_gate(gate: Option<f64>) -> Result<()> {
     match gate {
         Some(limit) if limit.is_nan() || limit <= 0.0 => {
-            Err(Error::invalid("gate", "a normalised innovation squared > 0", limit))
+            Err(Error::invalid("max_nis", "a normalised innovation squared > 0", limit))
         }
         _ => Ok(()),
     }

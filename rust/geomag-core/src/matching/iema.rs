@@ -14,15 +14,13 @@ use crate::error::{Error, Result, require_not_negative, require_positive, room};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::grid::{GridMap, Interpolation};
-use crate::lattice::{Classes, Comparison, DEFAULT_MAX_CANDIDATES, OffsetLattice, Shift, value_at};
+use crate::lattice::{Classes, Comparison, OffsetLattice, Shift, value_at};
 use crate::matching::stream::{Sample, Step, Stream};
 use crate::monitor::{Monitor, Quiet};
 use crate::stack::{Storey, check_heights, extent};
 use crate::state::Saved;
 use crate::track::Track;
 
-/// The gate of the paper, in standard deviations.
-const GATE: f64 = 3.0;
 /// Candidates a thread takes at a time where there are many.
 const CHUNK: usize = 1 << 14;
 
@@ -36,46 +34,59 @@ pub enum Unknown {
     Drop,
 }
 
-/// Options of [`Iema`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct IemaOptions {
-    /// Standard deviation of the sensor, value units.
-    pub sigma: f64,
-    /// Bound of the INS position error at the start `[x, y]`, map units.
-    pub half_width: [f64; 2],
-    /// Extent of the feasible set `[x, y]`, map units, at which the answer is unique enough; zero is the paper's rule.
-    pub tolerance: [f64; 2],
-    /// Lattice step `[x, y]`, map units; the map spacing where `None`.
-    pub step: Option<[f64; 2]>,
-    /// Gate violations that a candidate survives (outliers). A violation counts in its score as a residual on the gate.
-    pub max_misses: u32,
-    /// Policy for candidates without a map value.
-    pub unknown: Unknown,
-    /// Gate in standard deviations, 3 in the paper.
-    pub gate: f64,
-    /// Limit on the number of candidates. Every one that is left after the first sample takes 24 bytes; gathering them
-    /// takes as much again for a moment.
-    pub max_candidates: u64,
+/// The options of IEMA, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! iema_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            search [
+                (max_candidates: count = 268_435_456; "int";
+                    "A larger lattice is refused before memory is taken; one of more than 2^31 offsets always is. Each candidate that is"
+                    "left after the first sample takes 24 bytes, and as much again while they are gathered.")
+            ]
+            rule [
+                (max_misses: tally = 0; "int";
+                    "Gate violations that a candidate survives (outliers). A violation counts in its score as a residual on the gate.")
+                (unknown: unknown = "keep"; "{'keep', 'drop'}";
+                    "What becomes of candidates off the map or on holes.")
+                (gate_sigmas: number = 3.0; "float";
+                    "Gate in standard deviations, as in the paper.")
+            ]
+        }
+    };
 }
 
-impl IemaOptions {
-    /// The paper's rule.
-    pub fn new(sigma: f64, half_width: [f64; 2]) -> Self {
-        Self {
-            sigma,
-            half_width,
-            tolerance: [0.0; 2],
-            step: None,
-            max_misses: 0,
-            unknown: Unknown::Keep,
-            gate: GATE,
-            max_candidates: DEFAULT_MAX_CANDIDATES,
+macro_rules! iema_struct {
+    ($($part:ident [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*])*) => {
+        /// Options of [`Iema`].
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub struct IemaOptions {
+            /// Standard deviation of the sensor, value units.
+            pub sigma: f64,
+            /// Bound of the INS position error at the start `[x, y]`, map units.
+            pub half_width: [f64; 2],
+            /// Extent of the feasible set `[x, y]`, map units, at which the answer is unique enough; zero is the paper's rule.
+            pub tolerance: [f64; 2],
+            $($($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*)*
         }
-    }
 
+        impl IemaOptions {
+            /// The paper's rule.
+            pub fn new(sigma: f64, half_width: [f64; 2]) -> Self {
+                Self { sigma, half_width, tolerance: [0.0; 2], $($($name: option_default!($kind $default),)*)* }
+            }
+        }
+    };
+}
+
+step_options!(iema_options iema_struct);
+
+impl IemaOptions {
     fn check(&self) -> Result<()> {
         require_positive("sigma", self.sigma)?;
-        require_positive("gate", self.gate)?;
+        require_positive("gate_sigmas", self.gate_sigmas)?;
         for (d, axis) in ["x", "y"].iter().enumerate() {
             require_not_negative(&format!("tolerance {axis}"), self.tolerance[d])?;
         }
@@ -298,8 +309,8 @@ impl Iema {
         let test = Test {
             value,
             inverse_sigma: 1.0 / self.options.sigma,
-            gate: self.options.gate * self.options.sigma,
-            gate_density: -0.5 * self.options.gate * self.options.gate - LN_SQRT_2PI,
+            gate: self.options.gate_sigmas * self.options.sigma,
+            gate_density: -0.5 * self.options.gate_sigmas * self.options.gate_sigmas - LN_SQRT_2PI,
             max_misses: self.options.max_misses,
             unknown: self.options.unknown,
         };

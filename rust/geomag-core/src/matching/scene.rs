@@ -22,18 +22,39 @@ pub struct Channel<'a> {
     pub sigma: Option<f64>,
 }
 
-/// What is known beforehand of the INS error at the newest point; infinity is "nothing", `None` "not looked for".
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Priors {
-    /// Standard deviation of the offset in each axis, metres; `None` is as infinity, for the offset is what is sought.
-    pub offset_sigma_m: Option<f64>,
-    /// Standard deviation of the heading error, degrees; `None` holds the indicated heading.
-    pub heading_sigma_deg: Option<f64>,
-    /// Standard deviation of the scale (speed) error, a ratio; `None` holds the indicated scale.
-    pub scale_sigma: Option<f64>,
-    /// Standard deviation of a constant in the measurement, map units; `None` takes it to be zero.
-    pub bias_sigma: Option<f64>,
+/// What is known of the INS beforehand, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! motion_prior_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            prior [
+                (offset_sigma_m: maybe_number = None; "float, optional";
+                    "Standard deviation of the INS error at the newest point on each axis, metres; as infinity by default.")
+                (heading_sigma_deg: maybe_number = None; "float, optional";
+                    "That of its heading, degrees; the indicated heading is held by default, unless the transform is free to turn.")
+                (scale_sigma: maybe_number = None; "float, optional";
+                    "That of its scale (speed), a ratio; the indicated scale is held by default, unless the transform is free to stretch.")
+                (bias_sigma: maybe_number = None; "float, optional";
+                    "That of a constant in the measurement, value units; it is taken to be zero by default.")
+            ]
+        }
+    };
 }
+
+macro_rules! priors_struct {
+    (prior [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*]) => {
+        /// What is known beforehand of the INS error at the newest point; infinity is a flat prior, `None` "not looked for". Priors bound the
+        /// transforms of ICCP too.
+        #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+        pub struct Priors {
+            $($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*
+        }
+    };
+}
+
+motion_prior_options!(priors_struct);
 
 impl Priors {
     /// Refuses standard deviations that are not positive (infinity is allowed).
@@ -250,7 +271,9 @@ impl<'a> Scene<'a> {
             .map(|(k, d)| {
                 let [x, y] = self.track.point(k);
                 let [east, north] = map.metres_per_unit(y);
-                [map.wrap_x(x + d[0] / east), y + d[1] / north]
+                // At a pole every longitude is the same place.
+                let turn = d[0] / east;
+                [map.wrap_x(if turn.is_finite() { x + turn } else { x }), y + d[1] / north]
             })
             .collect()
     }

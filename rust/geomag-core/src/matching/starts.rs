@@ -7,8 +7,43 @@ use crate::lattice::MOST_CANDIDATES;
 use crate::matching::scene::{Judgement, Scene};
 use crate::monitor::Monitor;
 
-/// Greatest number of lattice candidates that a start may look at unless the caller says otherwise.
-pub const DEFAULT_MAX_CANDIDATES: u64 = 1_000_000;
+/// The options of a lattice of starts, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! starts_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            lattice [
+                (half_width_m: maybe_number = None; "float, optional";
+                    "Half width of the square of starts, metres; three `offset_sigma_m` by default, or `radius_m`.")
+                (step_m: maybe_number = None; "float, optional";
+                    "Step of the lattice of starts, metres; a map cell by default, or a fortieth of the half width.")
+                (keep_starts: size = 12; "int";
+                    "How many minima of the misfit over that lattice the iteration starts from.")
+                (max_candidates: count = 1_000_000; "int";
+                    "A larger lattice of starts is refused; 2^32 at most.")
+            ]
+        }
+    };
+}
+
+macro_rules! starts_defaults {
+    (lattice [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*]) => {
+        /// What is told of a lattice of starts; its size and step follow from the rest of a call where they are not.
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub struct StartLattice {
+            $($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*
+        }
+
+        impl StartLattice {
+            /// What holds where nothing is told.
+            pub const DEFAULT: Self = Self { $($name: $default,)* };
+        }
+    };
+}
+
+starts_options!(starts_defaults);
 
 /// Where the iteration starts.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -35,7 +70,8 @@ pub enum Starts {
 impl Starts {
     /// A lattice with the default number of starts and limit.
     pub const fn grid(half_width_m: f64, step_m: f64) -> Self {
-        Self::Grid { half_width_m, step_m, keep: 12, max_candidates: DEFAULT_MAX_CANDIDATES }
+        let StartLattice { keep_starts, max_candidates, .. } = StartLattice::DEFAULT;
+        Self::Grid { half_width_m, step_m, keep: keep_starts, max_candidates }
     }
 
     /// Refuses starts that cannot be used, and lattices over their limit.

@@ -10,40 +10,50 @@ use crate::frame::{displacement_m, metres_per_degree};
 use crate::kalman::error_state::ErrorStateFilter;
 use crate::state::Saved;
 
-/// What is known of an INS: how wrong it is at the start, and how fast it gets worse.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct InsErrorModel {
-    /// Position error at the start, each axis, metres.
-    pub position_sigma_m: f64,
-    /// Velocity error at the start, each axis, metres per second.
-    pub velocity_sigma_m_s: f64,
-    /// Heading error at the start, degrees.
-    pub heading_sigma_deg: f64,
-    /// Root power density of the position's random walk, m / sqrt(s).
-    pub position_walk_m_sqrt_s: f64,
-    /// Root power density of the velocity's random walk, (m/s) / sqrt(s).
-    pub velocity_walk_m_s_sqrt_s: f64,
-    /// Root power density of the heading's random walk, degrees / sqrt(s).
-    pub heading_walk_deg_sqrt_s: f64,
-    /// Time after which a velocity error has forgotten itself (first-order Gauss-Markov), seconds; infinity is a pure
-    /// random walk.
-    pub velocity_time_constant_s: f64,
+/// The options of INS feedback, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! ins_feedback_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            model [
+                (position_sigma_m: number = 500.0; "float";
+                    "Position error at the start, each axis, metres.")
+                (velocity_sigma_m_s: number = 0.5; "float";
+                    "Velocity error at the start, each axis, metres per second.")
+                (heading_sigma_deg: number = 0.1; "float";
+                    "Heading error at the start, degrees.")
+                (position_walk_m_sqrt_s: number = 0.1; "float";
+                    "Root power density of the position's random walk, m / sqrt(s).")
+                (velocity_walk_m_s_sqrt_s: number = 0.001; "float";
+                    "Root power density of the velocity's random walk, (m/s) / sqrt(s).")
+                (heading_walk_deg_sqrt_s: number = 0.0005; "float";
+                    "Root power density of the heading's random walk, degrees / sqrt(s).")
+                (velocity_time_constant_s: reach = None; "float, optional";
+                    "Time after which a velocity error has forgotten itself (first-order Gauss-Markov), seconds; never by default: a pure"
+                    "random walk.")
+            ]
+            stream [
+                (geographic: flag = false; "bool";
+                    "Positions are longitude and latitude.")
+                (gate_probability: number = 0.999; "float";
+                    "Share of good fixes that the gate lets through.")
+            ]
+        }
+    };
 }
 
-impl Default for InsErrorModel {
-    /// An INS of about one nautical mile an hour.
-    fn default() -> Self {
-        Self {
-            position_sigma_m: 500.0,
-            velocity_sigma_m_s: 0.5,
-            heading_sigma_deg: 0.1,
-            position_walk_m_sqrt_s: 0.1,
-            velocity_walk_m_s_sqrt_s: 0.001,
-            heading_walk_deg_sqrt_s: 0.0005,
-            velocity_time_constant_s: f64::INFINITY,
-        }
-    }
+macro_rules! ins_error_model {
+    (model $model:tt stream $stream:tt) => {
+        record! { {
+            /// What is known of an INS: how wrong it is at the start, and how fast it gets worse. The default is one of about one nautical mile an hour.
+            InsErrorModel
+        } model $model }
+    };
 }
+
+ins_feedback_options!(ins_error_model);
 
 impl InsErrorModel {
     fn check(&self) -> Result<()> {

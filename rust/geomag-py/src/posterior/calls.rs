@@ -5,7 +5,7 @@
 use geomag_core::error::Error;
 use geomag_core::matching::posterior::{PosteriorMatcher, PosteriorOptions};
 use geomag_core::matching::stream::feed;
-use geomag_core::posterior_options;
+use geomag_core::{common_options, posterior_options};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 
@@ -18,32 +18,6 @@ use crate::grid::field;
 use crate::lock::Shared;
 use crate::long_call;
 use crate::track::PyTrack;
-
-/// Arguments that are no options of the core, each explained once.
-macro_rules! shared_doc {
-    (sigma) => {
-        concat!(
-            "sigma : float, optional\n",
-            "    Standard deviation of the sensor, value units; by default what the map's own lines say."
-        )
-    };
-    (parts) => {
-        concat!(
-            "search : SearchBox, optional\n    Where to look, in place of the keywords of the same names.\n",
-            "prior : InsPrior, optional\n    What the INS may be wrong by beside the offset, likewise.\n",
-            "accept : Acceptance, optional\n    What counts as a fix, likewise."
-        )
-    };
-    (threads) => {
-        concat!(
-            "threads : int, optional\n",
-            "    Threads to use, 1 to 512, all cores by default; the answers do not depend on it."
-        )
-    };
-    (progress) => {
-        "progress : bool or callable, optional\n    True for a bar, or a callable (done, total)."
-    };
-}
 
 /// A part of a call: its struct, with a field a row, and its class.
 macro_rules! part {
@@ -77,7 +51,8 @@ macro_rules! core_type {
 
 macro_rules! parts {
     (
-        extent [$($extent:tt)*] search [$($search:tt)*] accept [$($accept:tt)*] prior [$($prior:tt)*] reading $reading:tt
+        extent [$($extent:tt)*] overlap [$($overlap:tt)*] search [$($search:tt)*] accept [$($accept:tt)*] prior [$($prior:tt)*]
+        reading $reading:tt
     ) => {
         part! {
             /// Where a matcher looks: how far, how fine, and how much of it at most.
@@ -85,7 +60,7 @@ macro_rules! parts {
         }
         part! {
             /// What is accepted as a fix: what counts as wrong, and how sure it must be.
-            Acceptance PyAcceptance "Acceptance" [$($accept)*] [$($accept)*]
+            Acceptance PyAcceptance "Acceptance" [$($accept)* $($overlap)*] [$($accept)* $($overlap)*]
         }
         part! {
             /// What the INS may be wrong by beside the offset: drift, heading, scale, jitter.
@@ -96,7 +71,7 @@ macro_rules! parts {
 
 macro_rules! merging {
     (
-        extent [$(($bound:ident: $($_e:tt)*))*] search [$(($looked:ident: $($_s:tt)*))*]
+        extent [$(($bound:ident: $($_e:tt)*))*] overlap [$(($overlap:ident: $($_o:tt)*))*] search [$(($looked:ident: $($_s:tt)*))*]
         accept [$(($accepted:ident: $($_a:tt)*))*] prior [$(($known:ident: $($_p:tt)*))*] reading $reading:tt
     ) => {
         /// Extents of a search as they are given: map units or metres.
@@ -124,6 +99,7 @@ macro_rules! merging {
             if let Some(part) = accept.map(|p| p.get().inner) {
                 $(options.$accepted =
                     merge(stringify!($accepted), "accept", options.$accepted, part.$accepted, defaults.$accepted)?;)*
+                $(options.$overlap = merge(stringify!($overlap), "accept", options.$overlap, part.$overlap, defaults.$overlap)?;)*
             }
             Area::of(options, extent)
         }
@@ -144,16 +120,14 @@ macro_rules! calls {
         /// ----------
         /// grid : GridMap, MapStack or HarmonicMap
         ///     The stored map. What is known of its errors goes with it: `sigma=`, or `geomag.survey.map_from_lines`.
-        /// track : Track
-        ///     Indicated positions and measured values.
+        #[doc = shared_doc!(track)]
         $(#[doc = row_doc!($bound; $bound_python; $($bound_line)+)])*
         #[doc = shared_doc!(sigma)]
         $($(#[doc = row_doc!($name; $python; $($line)+)])*)*
         #[doc = shared_doc!(parts)]
         /// surface : bool
         ///     Return the posterior over the offsets as `Fix.surface`.
-        /// channels : sequence of (GridMap, values, sigma), optional
-        ///     Further fields measured along the same track, each with its own map.
+        #[doc = shared_doc!(channels)]
         #[doc = shared_doc!(threads)]
         /// more : sequence of (GridMap, values, sigma), optional
         ///     Old name of `channels`; it warns.
@@ -460,6 +434,6 @@ macro_rules! calls {
     };
 }
 
-posterior_options!(parts);
-posterior_options!(merging);
-posterior_options!(calls);
+common_options!(posterior_options parts);
+common_options!(posterior_options merging);
+common_options!(posterior_options calls);

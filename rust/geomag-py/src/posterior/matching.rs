@@ -8,7 +8,7 @@ use geomag_core::matching::posterior::{self, Channel, PosteriorOptions};
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 
-use super::calls::Extent;
+use super::calls::{Extent, PySearchBox};
 use super::prediction::PyPrediction;
 use crate::arrays::vector;
 use crate::error::{PyRes, invalid};
@@ -33,6 +33,26 @@ pub fn merge<T: PartialEq>(name: &str, part: &str, keyword: T, of_part: T, defau
         return Err(invalid(name, &format!("a keyword or a field of {part}=, not both"), "both"));
     }
     Ok(of_part)
+}
+
+/// How far to look, with what a `SearchBox` says of it in its place: extents, step and the limit of candidates.
+pub fn boxed(
+    search: Option<&Py<PySearchBox>>,
+    mut extent: Extent,
+    mut step: Option<[f64; 2]>,
+    (mut limit, default): (u64, u64),
+) -> PyRes<(Extent, Option<[f64; 2]>, u64)> {
+    if let Some(part) = search.map(|p| p.get().inner) {
+        extent.half_width = merge("half_width", "search", extent.half_width, part.half_width, None)?;
+        extent.half_width_m = merge("half_width_m", "search", extent.half_width_m, part.half_width_m, None)?;
+        extent.step_m = merge("step_m", "search", extent.step_m, part.step_m, None)?;
+        step = merge("step", "search", step, part.step, None)?;
+        // A box without a limit of its own leaves that of the call.
+        if part.max_candidates != PosteriorOptions::new([1.0; 2]).max_candidates {
+            limit = merge("max_candidates", "search", limit, part.max_candidates, default)?;
+        }
+    }
+    Ok((extent, step, limit))
 }
 
 /// What is asked for, its extents in map units or metres as they were given.

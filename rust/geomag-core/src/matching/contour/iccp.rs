@@ -158,7 +158,7 @@ impl<'a> Iccp<'a> {
                 continue;
             }
             (last_objective, reached, distance_squared) = (look.objective, look.reached, look.distance_squared);
-            if self.greatest_move(&now, &look.next) < self.options.tolerance_m {
+            if self.greatest_move(&now, &look.next) < self.options.converged_m {
                 now = look.next;
                 end = End::Converged;
                 break;
@@ -322,7 +322,7 @@ impl<'a> Iccp<'a> {
         let displacements: Vec<[f64; 2]> = (0..n).map(|k| self.displacement(&outcome.transform, k)).collect();
         let motion = motion_of(&outcome.transform);
         // Another start that came to rest elsewhere: further away than a converged iteration can stop short.
-        let apart = 10.0 * self.options.tolerance_m;
+        let apart = 10.0 * self.options.converged_m;
         let runner_up = outcomes
             .iter()
             .filter(|o| o.end != End::OutOfReach && self.greatest_move(&o.transform, &outcome.transform) > apart)

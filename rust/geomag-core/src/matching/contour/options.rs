@@ -9,50 +9,59 @@ use crate::matching::scene::Judgement;
 use crate::matching::starts::Starts;
 use crate::matching::transform::TransformKind;
 
-/// Settings of contour matching. The default is ICCP to the letter.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ContourOptions {
-    /// What the track may do as one body.
-    pub transform: TransformKind,
-    /// How far from a point its contour is looked for, metres; infinity is the whole map.
-    pub radius_m: f64,
-    /// K of the objective: weight of the distance to the indicated points against that to the contours.
-    pub stiffness: f64,
-    /// The points have converged when none moves by more than this, metres.
-    pub tolerance_m: f64,
-    /// Greatest number of iterations from one start.
-    pub max_iterations: usize,
-    /// Least number of points that must have a contour in reach; `None` is half of them, or what the transform needs.
-    pub min_points: Option<usize>,
-    /// Depth of Anderson acceleration; 0 is the plain iteration.
-    pub acceleration: usize,
-    /// Greatest total rotation, degrees; `None` is no bound.
-    pub max_rotation_deg: Option<f64>,
-    /// Where to start.
-    pub starts: Starts,
-    /// Whether the misfit is minimised afterwards; without it there is no covariance.
-    pub refine: bool,
-    /// Priors (which also hold the transforms of ICCP) and the settings of the refinement.
-    pub refinement: RefineOptions,
+/// The options of ICCP, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! contour_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            iteration [
+                (transform: transform = "rigid"; "{'rigid', 'translation', 'similarity', 'affine'}";
+                    "What the track may do as one body; with `refine` also what is estimated.")
+                (radius_m: reach = None; "float, optional";
+                    "How far from a point its contour is looked for, metres; the whole map by default. At least the INS error.")
+                (starts: starts = None; "{'indicated', 'grid'} or array of shape (n, 2), optional";
+                    "Where to start: at the INS (the default), at the best of a lattice, or at offsets in metres (east, north). The least"
+                    "misfit wins.")
+                (refine: flag = false; "bool";
+                    "Minimise the misfit afterwards, over offset, heading, scale and bias; without it there is no covariance.")
+                (stiffness: number = 0.0; "float";
+                    "K of the objective: weight of the distance to the indicated points against that to the contours.")
+                (converged_m: number = 1.0; "float";
+                    "Converged when no point moves further, metres. The paper's 1 m stops short: 0.001 with `acceleration` does not.")
+                (max_iterations: size = 300; "int";
+                    "Greatest number of iterations from one start.")
+                (min_points: maybe_size = None; "int, optional";
+                    "Least number of points that must have a contour in reach; half of them by default, or what the transform needs.")
+                (acceleration: size = 0; "int";
+                    "Depth of Anderson acceleration, up to 8; 0 is the plain iteration.")
+                (max_rotation_deg: maybe_number = None; "float, optional";
+                    "Greatest total rotation, degrees; no bound by default.")
+            ]
+        }
+    };
 }
 
-impl Default for ContourOptions {
-    fn default() -> Self {
-        Self {
-            transform: TransformKind::Rigid,
-            radius_m: f64::INFINITY,
-            stiffness: 0.0,
-            tolerance_m: 1.0,
-            max_iterations: 300,
-            min_points: None,
-            acceleration: 0,
-            max_rotation_deg: None,
-            starts: Starts::Indicated,
-            refine: false,
-            refinement: RefineOptions::default(),
+macro_rules! contour_struct {
+    (iteration [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*]) => {
+        /// Settings of contour matching. The default is ICCP to the letter.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub struct ContourOptions {
+            $($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*
+            /// Priors (which also hold the transforms of ICCP) and the settings of the refinement.
+            pub refinement: RefineOptions,
         }
-    }
+
+        impl Default for ContourOptions {
+            fn default() -> Self {
+                Self { $($name: option_default!($kind $default),)* refinement: RefineOptions::default() }
+            }
+        }
+    };
 }
+
+contour_options!(contour_struct);
 
 impl ContourOptions {
     /// The settings of the refinement: what the transform is free to do is estimated, under a flat prior where there is
@@ -83,7 +92,7 @@ impl ContourOptions {
     pub fn check(&self) -> Result<()> {
         check_radius(self.radius_m)?;
         require_not_negative("stiffness", self.stiffness)?;
-        require_positive("tolerance_m", self.tolerance_m)?;
+        require_positive("converged_m", self.converged_m)?;
         if self.max_iterations == 0 {
             return Err(Error::invalid("max_iterations", "at least 1", 0));
         }

@@ -5,71 +5,100 @@ use serde::{Deserialize, Serialize};
 use crate::bounds::require_scale;
 use crate::error::{Error, Result, require_finite, require_positive, require_weights};
 use crate::grid::Interpolation;
-use crate::lattice::{DEFAULT_MAX_CANDIDATES, Pivot};
+use crate::lattice::Pivot;
 use crate::matching::similarity::{Criterion, Robust, Scoring};
 use crate::statistics::chi_square_survival;
 use crate::track::Track;
 
-/// Options of [`match_grid`](super::match_grid); the defaults search offsets alone with the mean square difference.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct GridSearch {
-    /// Measure.
-    pub criterion: Criterion,
-    /// Half size of the search `[x, y]`, map units.
-    pub half_width: [f64; 2],
-    /// Lattice step `[x, y]`, map units; the map spacing where `None`.
-    pub step: Option<[f64; 2]>,
-    /// Heading corrections to try, degrees.
-    pub heading_deg: Vec<f64>,
-    /// Scale corrections to try.
-    pub scale: Vec<f64>,
-    /// Point about which heading and scale turn the track.
-    pub pivot: Pivot,
-    /// Whether a constant is taken out of the differences.
-    pub remove_mean: bool,
-    /// One weight a sample. A sample of weight zero is as if it had not been measured: its position alone remains.
-    pub weights: Option<Vec<f64>>,
-    /// Loss in place of the square.
-    pub robust: Option<Robust>,
-    /// How the map is read.
-    pub interpolation: Interpolation,
-    /// Share of the samples that a candidate must have on the map.
-    pub min_overlap: f64,
-    /// Standard deviation of a measured value, map included; estimated from the best fit where `None`.
-    pub sigma: Option<f64>,
-    /// A runner-up whose likelihood is more than this share of the best's makes the answer ambiguous.
-    pub ambiguity: f64,
-    /// Whether the best offset is refined below the lattice step; without it the covariance holds the step.
-    pub refine: bool,
-    /// Whether the score surface is returned.
-    pub surface: bool,
-    /// Limit on offsets x headings x scales.
-    pub max_candidates: u64,
+/// The options of the grid search, each written once; see `table.rs`. Those of `measure` make a [`Criterion`] and a [`Robust`].
+#[doc(hidden)]
+#[macro_export]
+macro_rules! grid_search_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            search [
+                (max_candidates: count = 268_435_456; "int";
+                    "A search of more offsets, headings and scales is refused before memory is taken (8 bytes each); a lattice of more than"
+                    "2^31 offsets always is.")
+            ]
+            turn [
+                (heading_deg: headings = None; "sequence of float, optional";
+                    "Heading corrections to try, degrees clockwise; the indicated heading by default.")
+                (scale: scales = None; "sequence of float, optional";
+                    "Scale corrections to try; 1 by default.")
+                (pivot: pivot = "newest"; "{'newest', 'centroid'}";
+                    "Point about which they turn the track; the fix is for the newest point either way.")
+            ]
+            compare [
+                (remove_mean: flag = false; "bool";
+                    "Take out a constant: the mean for 'msd', the median for 'mad' (and for robust losses).")
+                (weights: weights = None; "array of shape (n,), optional";
+                    "One weight a sample. A sample of weight zero is as if it had not been measured; its position alone remains.")
+                (interpolation: interpolation = "bilinear"; "{'bilinear', 'bicubic'}";
+                    "How the search reads the map.")
+                (sigma: maybe_number = None; "float, optional";
+                    "Standard deviation of a measured value with the map's error; estimated from the best fit by default.")
+            ]
+            answer [
+                (ambiguity: number = 0.01; "float";
+                    "The answer is `ambiguous` where a place two cells away or more has more than this share of its likelihood.")
+                (refine: flag = true; "bool";
+                    "Refine the best offset below the lattice step; without it the covariance holds the step.")
+                (surface: flag = false; "bool";
+                    "Return the score surface with the fix.")
+            ]
+            measure [
+                (robust: maybe_name = None; "{'huber', 'student_t'}, optional";
+                    "Loss in place of the square.")
+                (robust_scale: maybe_number = None; "float, optional";
+                    "Where it bends, value units; needed with `robust`.")
+                (nu: number = 3.0; "float";
+                    "Degrees of freedom of 'student_t'.")
+                (length_scale_m: maybe_number = None; "float, optional";
+                    "Metres that count as one in the Hausdorff distance; the mean sample spacing by default.")
+                (value_scale: maybe_number = None; "float, optional";
+                    "Value units that count as one there; the spread of the values by default.")
+                (fraction: number = 1.0; "float";
+                    "Quantile of the point-to-set distances that is the Hausdorff distance.")
+            ]
+        }
+    };
 }
 
-impl GridSearch {
-    /// A search of the given measure and half width with the defaults for the rest.
-    pub fn new(criterion: Criterion, half_width: [f64; 2]) -> Self {
-        Self {
-            criterion,
-            half_width,
-            step: None,
-            heading_deg: vec![0.0],
-            scale: vec![1.0],
-            pivot: Pivot::Newest,
-            remove_mean: false,
-            weights: None,
-            robust: None,
-            interpolation: Interpolation::Bilinear,
-            min_overlap: 0.8,
-            sigma: None,
-            ambiguity: 0.01,
-            refine: true,
-            surface: false,
-            max_candidates: DEFAULT_MAX_CANDIDATES,
+macro_rules! grid_search_struct {
+    (
+        extent $extent:tt
+        overlap [$($overlap:tt)*] pitch [$($pitch:tt)*]
+        search [$($search:tt)*] turn [$($turn:tt)*] compare [$($compare:tt)*] answer [$($answer:tt)*] measure $measure:tt
+    ) => {
+        grid_search_struct! { $($pitch)* $($search)* $($turn)* $($compare)* $($overlap)* $($answer)* }
+    };
+    ($(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*) => {
+        /// Options of [`match_grid`](super::match_grid); the defaults search offsets alone with the mean square difference.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub struct GridSearch {
+            /// Measure.
+            pub criterion: Criterion,
+            /// Half size of the search `[x, y]`, map units.
+            pub half_width: [f64; 2],
+            /// Loss in place of the square.
+            pub robust: Option<Robust>,
+            $($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*
         }
-    }
 
+        impl GridSearch {
+            /// A search of the given measure and half width with the defaults for the rest.
+            pub fn new(criterion: Criterion, half_width: [f64; 2]) -> Self {
+                Self { criterion, half_width, robust: None, $($name: option_default!($kind $default),)* }
+            }
+        }
+    };
+}
+
+common_options!(step_options grid_search_options grid_search_struct);
+
+impl GridSearch {
     pub(super) fn check(&self, geographic: bool, track: &Track) -> Result<()> {
         track.require_on(geographic)?;
         for (what, list) in [("heading_deg", &self.heading_deg), ("scale", &self.scale)] {

@@ -17,22 +17,13 @@ const MOST_DRIFT_M: f64 = 2e7;
 const MOST_HEIGHT_M: f64 = 600.0;
 
 /// The options of the posterior matchers, each written once: name, kind, default, type as Python documents it, explanation. Grouped by
-/// the part of a call that they belong to. Whatever needs a list of them is a macro that is handed this one.
+/// the part of a call that they belong to; before them come those of `common_options`. Whatever needs a list of them is a macro that is handed this one.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! posterior_options {
     ($then:ident $($given:tt)*) => {
         $then! {
             $($given)*
-            extent [
-                (half_width: maybe_pair = None; "float or (float, float), optional";
-                    "Bound of the INS error (x, y), map units. This, `half_width_m` or a `search` is needed.")
-                (half_width_m: maybe_pair = None; "float or (float, float), optional";
-                    "The same (east, north) in metres; on a map in degrees at the middle latitude of the tracks, or of the map before there is"
-                    "one.")
-                (step_m: maybe_pair = None; "float or (float, float), optional";
-                    "`step` in metres.")
-            ]
             search [
                 (step: maybe_pair = None; "float or (float, float), optional";
                     "Lattice step, map units; by default chosen from the map and the tolerance, and refined around the modes that matter.")
@@ -44,8 +35,6 @@ macro_rules! posterior_options {
                     "A fix further than this from the truth is wrong, metres; one map cell by default.")
                 (max_risk: number = 0.01; "float";
                     "Greatest declared risk at which an answer is a fix.")
-                (min_overlap: number = 0.8; "float";
-                    "Least share of the samples that a candidate must have on the map.")
                 (min_goodness: number = 1e-3; "float";
                     "Least p-value of the residuals with which a fix is declared.")
                 (misfit_threshold: maybe_number = None; "float, optional";
@@ -109,7 +98,7 @@ macro_rules! options_struct {
     };
 }
 
-posterior_options!(options_struct);
+common_options!(posterior_options options_struct);
 
 impl PosteriorOptions {
     /// Checks the ranges of all options.

@@ -6,42 +6,52 @@ use crate::error::{Error, Result, require_positive};
 use crate::grid::Interpolation;
 use crate::matching::scene::Priors;
 
-/// How the misfit is minimised, and what is asked of the answer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RefineOptions {
-    /// What is known beforehand; see [`Priors`] for what is estimated at all.
-    pub priors: Priors,
-    /// How the map is read: bicubic has a gradient without steps.
-    pub interpolation: Interpolation,
-    /// Distance over which the map's own error is correlated (exponentially), metres; 0 is white, `None` is estimated
-    /// from the residuals by maximum likelihood where the map has a sigma.
-    pub map_correlation_m: Option<f64>,
-    /// Greatest number of steps from one start.
-    pub max_iterations: usize,
-    /// Least share of the samples that must lie on the map.
-    pub min_overlap: f64,
-    /// Radius within which a fix counts as right, metres; `None` counts only other minima as wrong.
-    pub tolerance_m: Option<f64>,
-    /// Greatest risk at which the answer is a fix.
-    pub max_risk: f64,
-    /// Least p-value of the residuals at which the answer is a fix.
-    pub min_goodness: f64,
+/// The options of the refinement, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! refine_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            refinement [
+                (interpolation: interpolation = "bicubic"; "{'bicubic', 'bilinear'}";
+                    "How the refinement reads the map: bicubic has a gradient without steps.")
+                (map_correlation_m: maybe_number = None; "float, optional";
+                    "Distance over which the map's error is correlated (exponentially), metres; 0 is white; by default estimated from the"
+                    "residuals by maximum likelihood where the map has a sigma.")
+                (tolerance_m: maybe_number = None; "float, optional";
+                    "A refined position further than this from the truth is wrong, metres: `risk` is the probability of that. By default the"
+                    "probability of the other minima. Either supposes that map and noise are as told; it is not calibrated.")
+                (max_risk: number = 0.01; "float";
+                    "Greatest risk at which a refined answer is a fix.")
+                (min_goodness: number = 1e-3; "float";
+                    "Least p-value of the residuals at which a refined answer is a fix.")
+            ]
+        }
+    };
 }
 
-impl Default for RefineOptions {
-    fn default() -> Self {
-        Self {
-            priors: Priors::default(),
-            interpolation: Interpolation::Bicubic,
-            map_correlation_m: None,
-            max_iterations: 60,
-            min_overlap: 0.8,
-            tolerance_m: None,
-            max_risk: 0.01,
-            min_goodness: 1e-3,
+macro_rules! refine_struct {
+    (extent $extent:tt $($part:ident [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*])*) => {
+        /// How the misfit is minimised, and what is asked of the answer.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        pub struct RefineOptions {
+            /// What is known beforehand; see [`Priors`] for what is estimated at all.
+            pub priors: Priors,
+            /// Greatest number of steps from one start.
+            pub max_iterations: usize,
+            $($($(#[doc = concat!(" ", $line)])+ pub $name: option_type!($kind),)*)*
         }
-    }
+
+        impl Default for RefineOptions {
+            fn default() -> Self {
+                Self { priors: Priors::default(), max_iterations: 60, $($($name: option_default!($kind $default),)*)* }
+            }
+        }
+    };
 }
+
+common_options!(refine_options refine_struct);
 
 impl RefineOptions {
     /// Refuses options that cannot be used.

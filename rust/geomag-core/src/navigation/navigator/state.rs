@@ -9,7 +9,7 @@ use super::doubt::{Shift, Stuck};
 use super::filter::{Filter, Scratch};
 use super::integrity::{Radius, RunningNis, widening};
 use super::law::MapLaw;
-use super::motion::{ACCELEROMETER, GYRO, POSITION, TILT, VELOCITY};
+use super::motion::{ACCELEROMETER, FASTEST_M_S, GYRO, POSITION, TILT, VELOCITY};
 use super::options::{Method, NavigatorOptions};
 use super::outcome::{Inputs, Reason, Status};
 use super::smooth::Record;
@@ -114,7 +114,10 @@ impl Saved for State {
     fn check(&self) -> Result<()> {
         self.options.validate()?;
         let newest_is_sound = self.newest.is_none_or(|n| {
-            [n.time_s, n.x, n.y, n.velocity_m_s[0], n.velocity_m_s[1], n.heading_rad].iter().all(|v| v.is_finite())
+            // The field, and with it the kind of the coordinates, is not known here.
+            crate::bounds::require_place("place", false, [n.x, n.y]).is_ok()
+                && n.velocity_m_s[0].hypot(n.velocity_m_s[1]) <= FASTEST_M_S
+                && [n.time_s, n.heading_rad].iter().all(|v| v.is_finite())
         });
         let terms = self.options.terms();
         let whole = self.filter.is_whole(STATES + terms)
