@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -123,6 +125,63 @@ def test_progress_is_told_from_the_first_moment_on():
     steps.add(1.0)
     steps.add(9.0)
     assert told[1:] == [(50, 400), (100, 400), (400, 400)]
+
+
+def test_side_by_side_keeps_the_order_and_reports_from_one_thread(monkeypatch):
+    monkeypatch.setenv("RAYON_NUM_THREADS", "3")
+    told, reporters, workers = [], set(), set()
+    together = threading.Barrier(3, timeout=30)
+
+    def progress(done, total):
+        reporters.add(threading.get_ident())
+        told.append(done)
+
+    steps = Steps(progress, 6.0)
+
+    def work(item):
+        workers.add(threading.get_ident())
+        together.wait()  # passed only where three work at the same time
+        half = steps.within(1.0)
+        half(1, 2)
+        time.sleep(0.15)
+        steps.add(1.0)
+        return item**2
+
+    assert steps.side_by_side(work, range(6)) == [0, 1, 4, 9, 16, 25]
+    steps.add(0.0)
+    assert reporters == {threading.get_ident()}
+    assert len(workers) == 3
+    assert threading.get_ident() not in workers
+    assert told == sorted(told)
+    assert told[-1] == 600
+    monkeypatch.setenv("RAYON_NUM_THREADS", "1")
+    assert steps.side_by_side(lambda item: threading.get_ident(), range(2)) == [threading.get_ident()] * 2
+
+
+@pytest.mark.parametrize("fails", ["in a thread", "in progress"])
+def test_what_fails_side_by_side_stops_the_others(monkeypatch, fails):
+    monkeypatch.setenv("RAYON_NUM_THREADS", "2")
+    begun, turns = [], []
+
+    def progress(done, total):
+        if fails == "in progress" and begun:
+            raise KeyboardInterrupt
+
+    steps = Steps(progress, 50.0)
+
+    def work(item):
+        begun.append(item)
+        if item == 0 and fails == "in a thread":
+            raise ValueError("no window")
+        for turn in range(3000):  # a minute, were it not stopped
+            turns.append(turn)
+            steps.waited_for(turn, 3000)
+            time.sleep(0.02)
+
+    with pytest.raises(ValueError if fails == "in a thread" else KeyboardInterrupt):
+        steps.side_by_side(work, range(50))
+    assert len(begun) < 10
+    assert len(turns) < 1000
 
 
 def test_short_tracks_are_riskier_by_their_lapses(scene, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -76,6 +78,19 @@ def noisy():
         return field, synthetic.survey(field, line_spacing_m=300.0, sample_spacing_m=25.0, sigma=1.0, seed=3)
 
     return {"flat": over(600.0, 6.0), "strong": over(150.0, 60.0)}
+
+
+def test_the_same_is_learnt_by_one_thread_and_by_several(noisy, monkeypatch):
+    monkeypatch.setattr("geomag.survey._trials.MOST_WINDOWS", 60)
+    monkeypatch.setattr("geomag.survey._trials.FORECAST_WINDOWS", 20)
+    learnt = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("RAYON_NUM_THREADS", threads)
+        learnt.append(asdict(learn_errors(noisy["flat"][1], folds=2)))
+    one, several = learnt
+    assert one["smoothing_m"] > 0
+    for name in one:
+        np.testing.assert_equal(several[name], one[name], err_msg=name)
 
 
 def test_the_lines_say_whether_noise_is_taken_for_field(noisy, monkeypatch):

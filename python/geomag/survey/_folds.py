@@ -99,19 +99,20 @@ def _losses(parts: list[Fold]) -> Array:
 
 
 def choose_smoothing(
-    parts: list[Fold],
-    by_lines: Callable[[float], list[Fold]],
-    by_stretches: Callable[[float], list[Fold]],
+    by_lines: list[Fold],
+    by_stretches: list[Fold],
+    smoothed: Callable[[float], tuple[list[Fold], list[Fold]]],
     spacing_m: float,
 ) -> float:
-    """A length to smooth over, from none (`parts`) up as long as what is left out clearly fits the better.
+    """A length to smooth over, from none (`by_lines`, `by_stretches`) up as long as what is left out clearly fits the better.
 
     Noise that is honoured without need looks like field on the map. Lines left out show what smoothing does between the lines, stretches
     left out what it does on them; a track is as often near as far.
     """
-    best, before = 0.0, (_losses(parts), _losses(by_stretches(0.0)))
+    best, before = 0.0, (_losses(by_lines), _losses(by_stretches))
     for factor in SMOOTHINGS:
-        after = (_losses(by_lines(factor * spacing_m)), _losses(by_stretches(factor * spacing_m)))
+        lines, stretches = smoothed(factor * spacing_m)
+        after = (_losses(lines), _losses(stretches))
         gains = [old - new for old, new in zip(before, after, strict=True)]
         error = np.sqrt(sum(gain.var() / gain.size for gain in gains))
         if sum(gain.mean() for gain in gains) <= CLEARLY * error:

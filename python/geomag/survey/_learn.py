@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from geomag._ranges import above, at_least
 from geomag.survey._fit import fit_lapses, fit_sigma, recalibrated
 from geomag.survey._folds import DECIDING, Fold, choose_smoothing, without_stretches
 from geomag.survey._heights import Drape
-from geomag.survey._learn_filter import learn_filter
+from geomag.survey._learn_filter import FilterLaw, learn_filter
 from geomag.survey._levels import Levels
 from geomag.survey._lines import Array, Lines
 from geomag.survey._model import LEARNT_SPREAD, REGISTRATION, ErrorModel, Law, sigma_of
@@ -88,14 +90,17 @@ def learn_errors(
 
     def gridded(parted: list[tuple[list[Lines], list[Lines], list[Lines]]], smoothing: float) -> list[Fold]:
         weight = weight_of(lines, axes, smoothing, line_spacing)
-        out = []
-        for one, left, over in parted:
+
+        def one_of(part: tuple[list[Lines], list[Lines], list[Lines]]) -> Fold:
+            one, left, over = part
             kept, seen = (one, over) if drape is None else drape.brought(one, over, weight)
             windows = windows_of(seen, step_m, WINDOW)
             missing = seen if left else []
-            out.append(Fold.of(kept, missing, windows, axes, method, line_spacing, weight, steps.within(1.0)))
+            fold = Fold.of(kept, missing, windows, axes, method, line_spacing, weight, steps.within(1.0))
             steps.add(1.0)
-        return out
+            return fold
+
+        return steps.side_by_side(one_of, parted)
 
     whole = [(kept, left, left) for kept, left in survey.parted(folds)]
     found = sum(len(windows_of(left, settings.spacing_m, samples)) for _, left, _ in whole)
@@ -104,19 +109,22 @@ def learn_errors(
         raise TooFewSamplesError(
             f"survey lines: needed lines for at least {FEWEST_WINDOWS} windows of {fewest} samples, {settings.spacing_m:.0f} m apart, got {found}"
         )
-    parts = gridded(whole, smoothing_m or 0.0)
     if smoothing_m is None and grid is None and method == "minimum_curvature":
         kept = without_stretches(survey.pieces, step_m, min(axes.cell, 0.5 * step_m))
         thinned: list[tuple[list[Lines], list[Lines], list[Lines]]] = [(kept, [], survey.pieces)]
+        parts = gridded(whole + thinned, 0.0)
+        stretches = [parts.pop()]
+
+        def smoothed(length: float) -> tuple[list[Fold], list[Fold]]:
+            found = gridded(whole[:DECIDING] + thinned, length)
+            return found[:-1], found[-1:]
+
         if any(part.windows for part in parts[:DECIDING]):
-            smoothing_m = choose_smoothing(
-                parts[:DECIDING],
-                lambda length: gridded(whole[:DECIDING], length),
-                lambda length: gridded(thinned, length),
-                line_spacing,
-            )
+            smoothing_m = choose_smoothing(parts[:DECIDING], stretches, smoothed, line_spacing)
         if smoothing_m:
             parts = gridded(whole, smoothing_m)
+    else:
+        parts = gridded(whole, smoothing_m or 0.0)
     rng = np.random.default_rng(seed)
     independent = flown(parts, settings, rng)
     count = sum(len(part.windows) for part in parts)
@@ -150,16 +158,22 @@ def settled(
     best, share = trials.at(point), point.share
     line = best.line
     length_m = settings.spacing_m * (settings.samples - 1)
-    lapses = fit_lapses(*trials.first_answers(point, correlation, line)), length_m
-    forecast = trials.forecast(point, correlation, line)
-    misfit_threshold = trials.misfit_threshold(point, correlation, line)
-    for_filters = learn_filter(
-        trials.maps(share),
-        [part.left for part in parts],
-        [piece for part in parts for piece in part.left],
-        correlation,
-        law.noise,
-        np.random.default_rng(rng.integers(2**32)),
+    filter_seed = rng.integers(2**32)
+
+    def for_filters() -> FilterLaw | None:
+        maps, left = trials.maps(share), [part.left for part in parts]
+        pieces = [piece for some in left for piece in some]
+        return learn_filter(maps, left, pieces, correlation, law.noise, np.random.default_rng(filter_seed))
+
+    # What the chosen model leaves to be learnt: four things that know nothing of each other, the longest first.
+    learnt: dict[str, Callable[[], object]] = {
+        "forecast": lambda: trials.forecast(point, correlation, line),
+        "filter": for_filters,
+        "lapses": lambda: (fit_lapses(*trials.first_answers(point, correlation, line)), length_m),
+        "misfit_threshold": lambda: trials.misfit_threshold(point, correlation, line),
+    }
+    found: dict[str, Any] = dict(
+        zip(learnt, steps.side_by_side(lambda learn: learn(), list(learnt.values())), strict=True)
     )
     steps.add(np.inf)
     return ErrorModel(
@@ -174,7 +188,7 @@ def settled(
         loss=best.loss,
         smoothing_m=smoothing_m,
         scale_spread=LEARNT_SPREAD,
-        filter=for_filters,
+        filter=found["filter"],
         trials=[
             {
                 "correlation": some.correlation,
@@ -186,10 +200,10 @@ def settled(
         ],
         share=share,
         recalibration=line,
-        forecast=forecast,
-        lapses=lapses,
+        forecast=found["forecast"],
+        lapses=found["lapses"],
         levels=levels[0] if levels else None,
-        misfit_threshold=misfit_threshold,
+        misfit_threshold=found["misfit_threshold"],
         risks=sorted(float(r) for r in recalibrated(best.risk[best.stated], line)),
         settings={
             "spacing_m": settings.spacing_m,

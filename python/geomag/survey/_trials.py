@@ -174,21 +174,21 @@ class Trials:
             [Track(x - o[0], y - o[1], v) for (x, y, v), o in zip(part.windows, offsets, strict=True)]
             for part, offsets in zip(self.parts, self._offsets, strict=True)
         ]
-        self._factors: list[Array | float] = [some.on(axes) for some in self.levels] or [1.0] * len(self.parts)
+        on_axes = self.steps.side_by_side(lambda some: some.on(axes), self.levels)
+        self._factors: list[Array | float] = [*on_axes] or [1.0] * len(self.parts)
 
     def maps(self, share: float) -> list[tuple[GridMap, Array]]:
         """The maps of all folds with their sigma at a share of that of single samples, and the distances to the data."""
         if share not in self._maps:
             a, b, c = (share * v for v in self.abc)
-            self._maps[share] = [
-                layered(
-                    part.base,
-                    np.asarray(part.base.values, dtype=float),
-                    sigma_of(*part.features, part.distance, self.law, a, b, c) * factor,
-                    part.distance,
-                )
-                for part, factor in zip(self.parts, self._factors, strict=True)
-            ]
+
+            def one(k: int) -> tuple[GridMap, Array]:
+                part = self.parts[k]
+                values = np.asarray(part.base.values, dtype=float)
+                sigma = sigma_of(*part.features, part.distance, self.law, a, b, c) * self._factors[k]
+                return layered(part.base, values, sigma, part.distance)
+
+            self._maps[share] = self.steps.side_by_side(one, range(len(self.parts)))
         return self._maps[share]
 
     def at(self, point: Point) -> Outcome:
@@ -211,10 +211,11 @@ class Trials:
 
     def _answered(self, point: Point, correlation: float, tracks: list[list[Track]], offsets: list[Array]) -> Outcome:
         """What comes of tracks, fold by fold, with an error model; risk NaN where there is no answer."""
-        risk, error, stated = [], [], []
-        for (grid, distance), some, true in zip(self.maps(point.share), tracks, offsets, strict=True):
+
+        def answers(part: tuple[tuple[GridMap, Array], list[Track], Array]) -> list[tuple[float, float, bool]]:
+            (grid, distance), some, true = part
             if not some:
-                continue
+                return []
             model = grid.with_error_model(
                 nu=NU,
                 scale_spread=LEARNT_SPREAD,
@@ -224,15 +225,26 @@ class Trials:
             )
             # What the tests of misfit refuse is learnt afterwards, from what they find under the model that is chosen.
             fixes = match_posterior_many(
-                model, some, half_width=self._half, tolerance_m=self.settings.tolerance_m, misfit_threshold=np.inf
+                model,
+                some,
+                half_width=self._half,
+                tolerance_m=self.settings.tolerance_m,
+                misfit_threshold=np.inf,
+                progress=self.steps.waited_for,
             )
+            rows = []
             for fix, offset in zip(fixes, true, strict=True):
-                known = fix.risk is not None
-                risk.append(fix.risk if known else np.nan)
-                error.append(float(np.hypot(*((np.array(fix.offset) - offset) * self._scale))) if known else np.inf)
-                stated.append(known and fix.status not in NO_STATEMENT)
-        away = np.array(error)
-        return Outcome(np.array(risk), away, away > self.settings.tolerance_m, np.array(stated, dtype=bool))
+                if fix.risk is None:
+                    rows.append((np.nan, np.inf, False))
+                    continue
+                away = float(np.hypot(*((np.array(fix.offset) - offset) * self._scale)))
+                rows.append((fix.risk, away, fix.status not in NO_STATEMENT))
+            return rows
+
+        parts = list(zip(self.maps(point.share), tracks, offsets, strict=True))
+        rows = [row for some in self.steps.side_by_side(answers, parts) for row in some]
+        risk, away, stated = np.array(rows, dtype=float).reshape(-1, 3).T
+        return Outcome(risk, away, away > self.settings.tolerance_m, stated.astype(bool))
 
     def first_answers(
         self, point: Point, correlation: float, line: tuple[float, float]
@@ -338,6 +350,7 @@ class Trials:
                     max_risk=FORECAST_RISK,
                     flights=1,
                     seed=k,
+                    progress=self.steps.waited_for,
                 )
             known = [one for one in found if one is not None]
             shares.append(float(np.mean([one.fix_probability for one in known])))
@@ -376,6 +389,7 @@ class Trials:
                 tolerance_m=self.settings.tolerance_m,
                 max_risk=FORECAST_RISK,
                 misfit_threshold=LEAST_GAIN,
+                progress=self.steps.waited_for,
             )
             for fix, offset in zip(fixes, offsets, strict=True):
                 error = np.hypot(*((np.array(fix.offset) - offset) * self._scale))
