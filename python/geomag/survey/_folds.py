@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +33,7 @@ class Fold:
     base: GridMap
     distance: Array
     windows: list[Window]
+    _features: tuple[Array, Array] | None = None
 
     @staticmethod
     def of(
@@ -72,10 +72,12 @@ class Fold:
         out: Array = np.concatenate([one.values - self.base.sample(one.x, one.y) for one in self.lines])
         return out[np.isfinite(out)]
 
-    @cached_property
+    @property
     def features(self) -> tuple[Array, Array]:
-        """Gradient and second derivative of the map."""
-        return features(np.asarray(self.base.values, dtype=float), self.distance, self.axes)
+        """Gradient and second derivative of the map, worked out once (without the lock that `cached_property` may share among folds)."""
+        if self._features is None:
+            self._features = features(np.asarray(self.base.values, dtype=float), self.distance, self.axes)
+        return self._features
 
 
 def without_stretches(lines: list[Lines], every_m: float, length_m: float) -> list[Lines]:

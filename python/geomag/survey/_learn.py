@@ -151,6 +151,7 @@ def settled(
     correlation_prior: tuple[float, float] = CORRELATION_PRIOR,
 ) -> ErrorModel:
     """The error model that windows on unseen readings ask for: sizes, correlation, spread, how risks are to be read, forecast."""
+    steps.side_by_side(lambda part: part.features, parts)
     a, b, c = abc = _sizes(parts, law)
     levels = _levels(parts, law, abc)
     trials = Trials(parts, law, abc, settings, independent, rng, steps, correlation_prior, levels=levels[1:])
