@@ -117,6 +117,36 @@ def test_both_rules_of_declaration():
     assert model.limit_of_mean(0.01) == 0.019
 
 
+@pytest.mark.parametrize("independent", [1.0, 0.5])
+def test_bins_are_judged_together(independent):
+    def answers(factor, seed):
+        drawn = np.random.default_rng(seed)
+        risk = np.exp(drawn.uniform(np.log(0.003), np.log(0.5), 600))
+        wrong = drawn.random(600) < factor * risk
+        n = risk.size
+        return Calibration(
+            "made", 1.0, 0.01, risk, np.where(wrong, 2.0, 0.5), risk <= 0.01, np.array(["fix"] * n), np.ones(n),
+            np.full(n, 40), independent=independent,
+        )  # fmt: skip
+
+    right = [answers(1.0, seed).together(draws=400) for seed in range(60)]
+    p = np.array([one["p"] for one in right])
+    if independent == 1.0:
+        # Uniform where the risks are right, and as many surveys with all bins inside as is said.
+        assert 0.35 < p.mean() < 0.65
+        assert np.mean(p < 0.1) < 0.25
+        inside = [
+            all(row["lower"] <= row["declared"] <= row["upper"] for row in answers(1.0, seed).reliability()[2:])
+            for seed in range(60)
+        ]
+        assert abs(np.mean(inside) - right[0]["all_inside"]) < 0.2
+    assert 0.6 < right[0]["all_inside"] < 0.95
+    bold = [answers(2.0, seed).together(draws=400)["p"] for seed in range(5)]
+    assert max(bold) < 0.01
+    assert right[0]["bins"] == 5
+    assert "together: chi-square" in answers(1.0, 3).to_markdown()
+
+
 def test_progress_is_told_from_the_first_moment_on():
     told = []
     steps = Steps(lambda done, total: told.append((done, total)), 4.0)

@@ -18,6 +18,8 @@ Array = npt.NDArray[np.float64]
 
 #: Bounds of the risk bins of a report.
 RISK_BINS = (0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 0.5)
+#: Those that are judged together: of risks below, so few tracks tell nothing.
+TOGETHER = RISK_BINS[2:]
 #: Limits of the risk at which reports say what is fixed.
 LIMITS = (0.01, 0.02, 0.03, 0.05)
 #: Risks are counted as at least this in the log loss.
@@ -134,6 +136,39 @@ class Calibration:
             )
         return rows
 
+    def together(self, bins: tuple[float, ...] = TOGETHER, draws: int = 2000, seed: int = 0) -> dict[str, float]:
+        """Whether all bins at once agree with what was declared: of some bins one is outside its 95 % interval by chance.
+
+        `chi_square` is the sum over the bins of (wrong - declared)^2 / sum of p (1 - p), times the share of the tracks that is independent; `p` how often
+        outcomes drawn from the declared risks have as large a one; `all_inside` how often all bins of such outcomes are within their Wilson intervals; `bins`
+        how many bins there are. Chi-square's own law does not hold where a bin expects less than some five wrong ones, which is why it is drawn.
+        """
+        stated = ~np.isin(self.status, NO_STATEMENT)
+        rng = np.random.default_rng(seed)
+        seen, drawn, inside, count = 0.0, np.zeros(draws), np.ones(draws, dtype=bool), 0
+        for low, high in itertools.pairwise(bins):
+            some = stated & (self.risk >= low) & (self.risk < high)
+            # As many tracks as are independent, spread over the bin's risks.
+            risk = np.sort(self.risk[some])
+            n = round(self.independent * risk.size)
+            if n == 0:
+                continue
+            count += 1
+            variance, expected = float(np.sum(risk * (1 - risk))), float(risk.sum())
+            wrong = int(np.sum(self.error_m[some] > self.tolerance_m))
+            seen += self.independent * (wrong - expected) ** 2 / variance
+            risk = risk[np.floor((np.arange(n) + 0.5) * risk.size / n).astype(int)]
+            totals = np.array([np.count_nonzero(rng.random(n) < risk) for _ in range(draws)])
+            drawn += (totals - risk.sum()) ** 2 / np.sum(risk * (1 - risk))
+            within = {k: wilson(k, n) for k in np.unique(totals)}
+            inside &= [within[k][0] <= risk.mean() <= within[k][1] for k in totals]
+        return {
+            "chi_square": seen,
+            "bins": float(count),
+            "p": float(np.mean(drawn >= seen)),
+            "all_inside": float(np.mean(inside)),
+        }
+
     def to_markdown(self) -> str:
         """Summary and reliability as Markdown tables."""
         s = self.summary()
@@ -165,6 +200,13 @@ class Calibration:
                 f"{row['wrong']:.0f} | {100 * row['observed']:.2f} % | "
                 f"{100 * row['lower']:.2f} to {100 * row['upper']:.2f} % |"
             )
+        both = self.together()
+        if both["bins"]:
+            lines += [
+                "",
+                f"Bins from {100 * TOGETHER[0]:g} % up together: chi-square {both['chi_square']:.1f} of {both['bins']:.0f} bins, p = {both['p']:.2g}. Were every "
+                f"declared risk right, all of them would be within their intervals {100 * both['all_inside']:.0f} times of a hundred.",
+            ]
         lines += [
             "",
             "| limit | fixed: risk of each within it | wrong | 95 % interval | fixed: mean risk within it | wrong | 95 % interval | risk of each up to |",
