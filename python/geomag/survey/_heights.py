@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -51,10 +52,15 @@ class Drape:
 
     def off(self, lines: Lines) -> Array:
         """How far above the surface each reading was taken, metres."""
-        surface = GridMap(self.height_m, *self.axes.coordinates(), geographic=lines.geographic)
+        # Places are looked up by their coordinates alone, whatever these are.
         return np.asarray(
-            np.nan_to_num(np.asarray(lines.height_m) - surface.sample(lines.x, lines.y)), dtype=np.float64
+            np.nan_to_num(np.asarray(lines.height_m) - self._surface.sample(lines.x, lines.y)), dtype=np.float64
         )
+
+    @cached_property
+    def _surface(self) -> GridMap:
+        """The heights as a map, made once: a survey has thousands of lines."""
+        return GridMap(self.height_m, *self.axes.coordinates())
 
     def brought(self, kept: Sequence[Lines], left: Sequence[Lines], weight: float) -> tuple[list[Lines], list[Lines]]:
         """`kept` and `left` with readings as on the surface, by the map of `kept` alone."""
