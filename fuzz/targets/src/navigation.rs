@@ -58,7 +58,7 @@ fn options(s: &mut Source<'_>, field: &dyn Field) -> NavigatorOptions {
     for i in 0..terms {
         options.terms_covariance[i * terms + i] = s.number(0.0, 10.0);
     }
-    options.matcher = s.one_in(24).then(|| MatcherPlan {
+    options.matcher = s.one_in(64).then(|| MatcherPlan {
         every_s: s.number(1.0, 100.0),
         wide_every_s: s.number(1.0, 100.0),
         samples: 1 + s.below(8),
@@ -77,6 +77,8 @@ struct Vehicle {
     time_s: f64,
     cells: [f64; 2],
     pace: [f64; 2],
+    /// Whether a long gap may still come.
+    patient: bool,
 }
 
 impl Vehicle {
@@ -85,17 +87,19 @@ impl Vehicle {
             time_s: s.number(-1e3, 1e5),
             cells: [s.within(0.0, 8.0), s.within(0.0, 8.0)],
             pace: [s.within(-0.5, 0.5), s.within(-0.5, 0.5)],
+            patient: s.one_in(16),
         }
     }
 
     fn next(&mut self, s: &mut Source<'_>, field: &dyn Field) -> Indicated {
         let (first, cell) = maps::extent(field);
-        // Hours are carried on in pieces of five seconds, so they come seldom.
+        // Hours are carried on in pieces of five seconds, thousands of them, so there is no more than one gap of that kind.
         let dt = s.one_of(&[1.0, 0.1, 10.0, 0.0, 60.0]);
-        self.time_s += match s.byte() {
-            0..2 => s.number(-10.0, 1e5),
-            2..16 => s.number(-10.0, 600.0),
-            _ => dt,
+        self.time_s += if s.one_in(16) {
+            let most = if std::mem::take(&mut self.patient) { 5000.0 } else { 100.0 };
+            s.number(-10.0, most).min(1e6)
+        } else {
+            dt
         };
         self.cells = [0, 1].map(|a| self.cells[a] + self.pace[a]);
         let mut place = [0, 1].map(|a| first[a] + cell[a] * self.cells[a]);

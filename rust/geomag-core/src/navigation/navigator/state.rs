@@ -15,6 +15,7 @@ use super::outcome::{Inputs, Reason, Status};
 use super::smooth::Record;
 use super::states::{BIAS, STATES};
 use super::watch::Watch;
+use crate::bounds::require_place;
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::state::Saved;
@@ -115,7 +116,7 @@ impl Saved for State {
         self.options.validate()?;
         let newest_is_sound = self.newest.is_none_or(|n| {
             // The field, and with it the kind of the coordinates, is not known here.
-            crate::bounds::require_place("place", false, [n.x, n.y]).is_ok()
+            require_place("place", false, [n.x, n.y]).is_ok()
                 && n.velocity_m_s[0].hypot(n.velocity_m_s[1]) <= FASTEST_M_S
                 && [n.time_s, n.heading_rad].iter().all(|v| v.is_finite())
         });
@@ -184,6 +185,12 @@ impl Navigator {
     }
 
     fn from_state(field: Arc<dyn Field>, state: State) -> Result<Self> {
+        let places = [("start", state.options.start), ("newest place", state.newest.map(|n| [n.x, n.y]))];
+        for (what, place) in places {
+            if let Some(place) = place {
+                require_place(what, field.geographic(), place)?;
+            }
+        }
         let law = MapLaw::new(field.as_ref(), &state.options);
         let textbook = state.options.method != Method::Navigator;
         let risk = state.options.integrity_risk;
