@@ -571,7 +571,7 @@ def tune_sequence(
     seed: int = 0,
     transform: _Transform = "rigid",
     radius_m: float | None = None,
-    tolerance_m: float = 1.0,
+    converged_m: float = 1.0,
     max_iterations: int = 300,
     method: Literal["exhaustive", "bpso"] = "exhaustive",
     particles: int = 30,
@@ -1089,7 +1089,7 @@ class UnscentedKalmanFilter:
         h: Callable[[_Floats], ArrayLike] | FieldSensor | ArrayLike,
         R: ArrayLike,
         *,
-        gate: float | None = None,
+        max_nis: float | None = None,
     ) -> bool: ...
     x: Any
     P: Any
@@ -1119,7 +1119,7 @@ class ExtendedKalmanFilter:
     def __new__(cls, x: ArrayLike, P: ArrayLike) -> ExtendedKalmanFilter: ...
     def predict(self, state: ArrayLike, F: ArrayLike, Q: ArrayLike) -> None: ...
     def update(
-        self, z: ArrayLike, expected: ArrayLike, H: ArrayLike, R: ArrayLike, *, gate: float | None = None
+        self, z: ArrayLike, expected: ArrayLike, H: ArrayLike, R: ArrayLike, *, max_nis: float | None = None
     ) -> bool: ...
     x: Any
     P: Any

@@ -55,7 +55,9 @@ class GeomagAccessor:
         found: NDArray[np.float64] = self.grid.sample(x, y, interpolation=interpolation, method=method)
         return found
 
-    def match(self, track: Track, criterion: str = "msd", **options: Any) -> Fix:  # noqa: ANN401 - passed on
+    def match(
+        self, track: Track, criterion: Literal["msd", "mad", "prod", "ncc", "hausdorff"] = "msd", **options: Any
+    ) -> Fix:  # noqa: ANN401 - passed on
         """Match a track with a similarity measure (`geomag.match_grid`)."""
         return match_grid(self.grid, track, criterion, **options)
 

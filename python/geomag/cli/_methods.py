@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid, match_posterior
+
+#: Measures of the grid search.
+Criterion = Literal["msd", "mad", "prod", "ncc", "hausdorff"]
 
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
@@ -131,7 +135,7 @@ def _contour(grid: GridMap, track: Track, told: Settings) -> Answer:
     return fix, []
 
 
-def _search(criterion: str) -> Callable[[GridMap, Track, Settings], Answer]:
+def _search(criterion: Criterion) -> Callable[[GridMap, Track, Settings], Answer]:
     def search(grid: GridMap, track: Track, told: Settings) -> Answer:
         fix = match_grid(
             grid,
@@ -152,7 +156,7 @@ _RUN: dict[str, Callable[[GridMap, Track, Settings], Answer]] = {
     "posterior": _posterior,
     "contour": _contour,
     "iema": _iema,
-    **{name: _search(name) for name in ("msd", "mad", "prod", "ncc", "hausdorff")},
+    **{name: _search(name) for name in get_args(Criterion)},
 }
 
 
