@@ -57,7 +57,7 @@ class GeomagAccessor:
 
     def match(
         self, track: Track, criterion: Literal["msd", "mad", "prod", "ncc", "hausdorff"] = "msd", **options: Any
-    ) -> Fix:  # noqa: ANN401 - passed on
+    ) -> Fix:
         """Match a track with a similarity measure (`geomag.match_grid`)."""
         return match_grid(self.grid, track, criterion, **options)
 
