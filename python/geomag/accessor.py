@@ -56,7 +56,10 @@ class GeomagAccessor:
         return found
 
     def match(
-        self, track: Track, criterion: Literal["msd", "mad", "prod", "ncc", "hausdorff"] = "msd", **options: Any
+        self,
+        track: Track,
+        criterion: Literal["msd", "mad", "prod", "ncc", "hausdorff"] = "msd",
+        **options: Any,  # noqa: ANN401 - passed on
     ) -> Fix:
         """Match a track with a similarity measure (`geomag.match_grid`)."""
         return match_grid(self.grid, track, criterion, **options)
