@@ -49,7 +49,7 @@ use iccp::Outcome;
 ///     None,
 /// )?;
 /// let options =
-///     ContourOptions { transform: TransformKind::Translation, tolerance_m: 0.001, max_iterations: 3000, ..Default::default() };
+///     ContourOptions { transform: TransformKind::Translation, converged_m: 0.001, max_iterations: 3000, ..Default::default() };
 /// let fix = match_contour(&map, &track, None, &options)?;
 /// assert!(fix.ok() && (fix.offset_m[0] - 120.0).abs() < 5.0 && (fix.offset_m[1] + 80.0).abs() < 5.0);
 /// # Ok::<(), geomag_core::error::Error>(())
