@@ -271,9 +271,9 @@ impl<'a> Scene<'a> {
             .map(|(k, d)| {
                 let [x, y] = self.track.point(k);
                 let [east, north] = map.metres_per_unit(y);
-                // At a pole every longitude is the same place.
-                let turn = d[0] / east;
-                [map.wrap_x(if turn.is_finite() { x + turn } else { x }), y + d[1] / north]
+                // At a pole every longitude is the same place, and next to it a step may be more turns than can be counted.
+                let moved = map.wrap_x(x + d[0] / east);
+                [if moved.is_finite() { moved } else { map.wrap_x(x) }, y + d[1] / north]
             })
             .collect()
     }
@@ -282,5 +282,27 @@ impl<'a> Scene<'a> {
     pub fn newest_offset(&self, displacement: [f64; 2]) -> [f64; 2] {
         let [east, north] = self.channels[0].map.metres_per_unit(self.track.newest()[1]);
         [displacement[0] / east, displacement[1] / north]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Channel, Scene};
+    use crate::grid::{GridMap, GridValues};
+    use crate::track::Track;
+
+    #[test]
+    fn a_sample_beside_a_pole_is_moved_to_a_place() {
+        let axis = [88.0, 89.0, 90.0];
+        let map = GridMap::new(GridValues::F64(vec![1.0; 9]), &[9.0, 10.0, 11.0], &axis, true).unwrap();
+        for latitude in [89.0, 89.999_999, 90.0 - 1e-9, 90.0_f64.next_down(), 90.0] {
+            let track = Track::new(vec![10.0; 2], vec![88.5, latitude], vec![1.0; 2], None).unwrap();
+            let channels = [Channel { map: &map, values: track.values(), sigma: None }];
+            let scene = Scene::new(&channels, &track, None).unwrap();
+            for east in [-3e5, 0.0, 3e5] {
+                let moved = scene.moved(&[[east, -2e3]; 2]);
+                assert!(moved.iter().flatten().all(|v| v.is_finite()), "{latitude} {east}: {moved:?}");
+            }
+        }
     }
 }
