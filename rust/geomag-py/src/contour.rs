@@ -9,7 +9,6 @@ use geomag_core::fix::Fix;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::closest::closest_contour_point;
 use geomag_core::matching::contour::{ContourOptions, match_channels_monitored};
-use geomag_core::matching::posterior::PosteriorOptions;
 use geomag_core::matching::refine::RefineOptions;
 use geomag_core::matching::scene::{Channel, Priors};
 use geomag_core::matching::sliding::{AveragedPoint, SlidingContour, SlidingState};
@@ -28,7 +27,7 @@ use crate::grid::PyGridMap;
 use crate::lock::Shared;
 use crate::long_call;
 use crate::options::old_name;
-use crate::posterior::{PyAcceptance, PyInsPrior, PySearchBox, merge};
+use crate::posterior::{PyAcceptance, PyInsPrior, PySearchBox, limit, merge};
 use crate::stack::{level_at, level_for, same_map};
 use crate::track::PyTrack;
 
@@ -154,26 +153,26 @@ struct Told {
     contour: ContourOptions,
     starts: Option<Py<PyAny>>,
     lattice: StartLattice,
+    parts: Parts,
     /// Old name of the refinement's tolerance.
     fix_radius_m: Option<f64>,
 }
 
 /// The parts of a call that stand for keywords of the same names.
-#[derive(Clone, Copy)]
-struct Parts<'a> {
-    search: Option<&'a Py<PySearchBox>>,
-    prior: Option<&'a Py<PyInsPrior>>,
-    accept: Option<&'a Py<PyAcceptance>>,
+struct Parts {
+    search: Option<Py<PySearchBox>>,
+    prior: Option<Py<PyInsPrior>>,
+    accept: Option<Py<PyAcceptance>>,
 }
 
 impl Told {
     /// The options for a map: parts in their places, starts laid out.
-    fn options(mut self, py: Python<'_>, map: &GridMap, parts: Parts<'_>) -> PyRes<ContourOptions> {
+    fn options(mut self, py: Python<'_>, map: &GridMap) -> PyRes<ContourOptions> {
         if let Some(radius) = self.fix_radius_m {
             old_name(py, "fix_radius_m", "tolerance_m")?;
             self.contour.refinement.tolerance_m = Some(radius);
         }
-        self.take(map, parts)?;
+        self.take(map)?;
         let mut o = self.contour;
         if let Some(given) = self.starts.as_ref().map(|s| s.bind(py)) {
             let name = given.extract::<String>().ok();
@@ -195,13 +194,12 @@ impl Told {
     }
 
     /// Puts what the parts say in its place; what contours cannot do is refused.
-    fn take(&mut self, map: &GridMap, parts: Parts<'_>) -> PyRes<()> {
-        let usual = PosteriorOptions::new([1.0; 2]);
+    fn take(&mut self, map: &GridMap) -> PyRes<()> {
         let unlike = |name: &str, given: bool, why: &str| if given { Err(invalid(name, why, "one")) } else { Ok(()) };
-        if let Some(part) = parts.search.map(|p| p.get().inner) {
+        if let Some(part) = self.parts.search.as_ref().map(|p| p.get().inner) {
             let metres = |units: [f64; 2]| {
-                let scale = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
-                [units[0] * scale[0], units[1] * scale[1]]
+                let [east, north] = metres_at_middle(map);
+                [units[0] * east, units[1] * north]
             };
             // The lattice of starts is a square: the one that holds the box, as fine as its finer step.
             let side = part.half_width_m.or(part.half_width.map(metres)).map(|[x, y]| x.max(y));
@@ -209,14 +207,10 @@ impl Told {
             let lattice = &mut self.lattice;
             lattice.half_width_m = merge("half_width_m", "search", lattice.half_width_m, side, None)?;
             lattice.step_m = merge("step_m", "search", lattice.step_m, step, None)?;
-            if part.max_candidates != usual.max_candidates {
-                let default = StartLattice::DEFAULT.max_candidates;
-                lattice.max_candidates =
-                    merge("max_candidates", "search", lattice.max_candidates, part.max_candidates, default)?;
-            }
+            lattice.max_candidates = limit(&part, lattice.max_candidates, StartLattice::DEFAULT.max_candidates)?;
         }
         let refinement = &mut self.contour.refinement;
-        if let Some(part) = parts.prior.map(|p| p.get().inner) {
+        if let Some(part) = self.parts.prior.as_ref().map(|p| p.get().inner) {
             let why = "none with contours, which move the track as one body";
             unlike("prior drift_sigma_m", part.drift_sigma_m != 0.0, why)?;
             unlike("prior position_sigma_m", part.position_sigma_m != 0.0, why)?;
@@ -226,7 +220,7 @@ impl Told {
             priors.heading_sigma_deg = merge("heading_sigma_deg", "prior", priors.heading_sigma_deg, heading, None)?;
             priors.scale_sigma = merge("scale_sigma", "prior", priors.scale_sigma, told(part.scale_sigma), None)?;
         }
-        if let Some(part) = parts.accept.map(|p| p.get().inner) {
+        if let Some(part) = self.parts.accept.as_ref().map(|p| p.get().inner) {
             unlike(
                 "accept misfit_threshold",
                 part.misfit_threshold.is_some(),
@@ -244,6 +238,11 @@ impl Told {
     }
 }
 
+/// Metres of a map unit at the middle of a map.
+fn metres_at_middle(map: &GridMap) -> [f64; 2] {
+    map.metres_per_unit(0.5 * (map.y().first() + map.y().last()))
+}
+
 fn lattice_of_starts(map: &GridMap, o: &ContourOptions, told: StartLattice) -> PyRes<Starts> {
     let sigma = o.refinement.priors.offset_sigma_m;
     let half_width_m = told
@@ -253,7 +252,7 @@ fn lattice_of_starts(map: &GridMap, o: &ContourOptions, told: StartLattice) -> P
         .ok_or_else(|| {
             invalid("starts='grid'", "half_width_m, offset_sigma_m or radius_m to know how far to look", "none")
         })?;
-    let [east, north] = map.metres_per_unit(0.5 * (map.y().first() + map.y().last()));
+    let [east, north] = metres_at_middle(map);
     let cell = (map.x().step() * east).min(map.y().step() * north);
     let step_m = told.step_m.unwrap_or(cell.max(half_width_m / 40.0).min(half_width_m));
     Ok(Starts::Grid { half_width_m, step_m, keep: told.keep_starts, max_candidates: told.max_candidates })
@@ -290,6 +289,34 @@ macro_rules! contour_calls {
         [$(($known:ident: $known_kind:ident = $known_default:tt; $known_python:literal; $($known_line:literal)+))*]
         [$(($refined:ident: $refined_kind:ident = $refined_default:tt; $refined_python:literal; $($refined_line:literal)+))*]
     ) => {
+        /// What the keywords of a call say.
+        #[allow(clippy::too_many_arguments)] // one each
+        fn told(
+            $($step: py_type!($step_kind),)*
+            $($start: py_type!($start_kind),)*
+            $($known: py_type!($known_kind),)*
+            $($refined: py_type!($refined_kind),)*
+            search: Option<Py<PySearchBox>>,
+            prior: Option<Py<PyInsPrior>>,
+            accept: Option<Py<PyAcceptance>>,
+            fix_radius_m: Option<f64>,
+        ) -> PyRes<Told> {
+            Ok(Told {
+                starts: starts_given!($([$step_kind $step])*),
+                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
+                contour: ContourOptions {
+                    $($step: contour_value!(py $step_kind $step),)*
+                    refinement: RefineOptions {
+                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
+                        $($refined: py_value!(py $refined_kind $refined),)*
+                        ..RefineOptions::default()
+                    },
+                },
+                parts: Parts { search, prior, accept },
+                fix_radius_m,
+            })
+        }
+
         /// Move the indicated track, as one body, onto the contours of its measured values (ICCP).
         ///
         /// For smooth maps and an INS error of a few cells. By default ICCP to the letter: it converges to the nearest minimum
@@ -365,21 +392,8 @@ macro_rules! contour_calls {
             accept: Option<Py<PyAcceptance>>,
             fix_radius_m: Option<f64>,
         ) -> PyRes<PyFix> {
-            let told = Told {
-                starts: starts_given!($([$step_kind $step])*),
-                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
-                contour: ContourOptions {
-                    $($step: contour_value!(py $step_kind $step),)*
-                    refinement: RefineOptions {
-                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
-                        $($refined: py_value!(py $refined_kind $refined),)*
-                        ..RefineOptions::default()
-                    },
-                },
-                fix_radius_m,
-            };
-            let parts = Parts { search: search.as_ref(), prior: prior.as_ref(), accept: accept.as_ref() };
-            matched(py, grid, track, sigma, weights, channels, |map| told.options(py, map, parts))
+            let told = told($($step,)* $($start,)* $($known,)* $($refined,)* search, prior, accept, fix_radius_m)?;
+            matched(py, grid, track, sigma, weights, channels, |map| told.options(py, map))
         }
 
         /// The options of `match_contour` for a map, made once: what a campaign hands on.
@@ -399,22 +413,9 @@ macro_rules! contour_calls {
             accept: Option<Py<PyAcceptance>>,
             fix_radius_m: Option<f64>,
         ) -> PyRes<PyContourSettings> {
-            let told = Told {
-                starts: starts_given!($([$step_kind $step])*),
-                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
-                contour: ContourOptions {
-                    $($step: contour_value!(py $step_kind $step),)*
-                    refinement: RefineOptions {
-                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
-                        $($refined: py_value!(py $refined_kind $refined),)*
-                        ..RefineOptions::default()
-                    },
-                },
-                fix_radius_m,
-            };
-            let parts = Parts { search: search.as_ref(), prior: prior.as_ref(), accept: accept.as_ref() };
+            let told = told($($step,)* $($start,)* $($known,)* $($refined,)* search, prior, accept, fix_radius_m)?;
             let map = grid_map("grid", grid)?;
-            Ok(PyContourSettings { inner: told.options(py, &map, parts)? })
+            Ok(PyContourSettings { inner: told.options(py, &map)? })
         }
 
         /// Contour matching over a sliding window: a fix a sample.
@@ -490,24 +491,11 @@ macro_rules! contour_calls {
             accept: Option<Py<PyAcceptance>>,
             fix_radius_m: Option<f64>,
             ) -> PyRes<Self> {
-            let told = Told {
-                starts: starts_given!($([$step_kind $step])*),
-                lattice: StartLattice { $($start: py_value!(py $start_kind $start),)* },
-                contour: ContourOptions {
-                    $($step: contour_value!(py $step_kind $step),)*
-                    refinement: RefineOptions {
-                        priors: Priors { $($known: py_value!(py $known_kind $known),)* },
-                        $($refined: py_value!(py $refined_kind $refined),)*
-                        ..RefineOptions::default()
-                    },
-                },
-                fix_radius_m,
-            };
-            let parts = Parts { search: search.as_ref(), prior: prior.as_ref(), accept: accept.as_ref() };
+            let told = told($($step,)* $($start,)* $($known,)* $($refined,)* search, prior, accept, fix_radius_m)?;
                 let level = height_m.map(|h| level_at("grid", grid, h)).transpose()?.map(Bound::into_any);
                 let grid = level.as_ref().unwrap_or(grid);
                 let map = grid_map("grid", grid)?;
-                let state = SlidingState::new(length, sigma, floor_m, told.options(py, &map, parts)?)?;
+                let state = SlidingState::new(length, sigma, floor_m, told.options(py, &map)?)?;
                 Ok(Self { inner: Shared::new(SlidingContour::new(map, state)), grid: grid.clone().unbind() })
             }
 

@@ -8,7 +8,7 @@ use geomag_core::matching::posterior::{self, Channel, PosteriorOptions};
 use geomag_core::track::Track;
 use pyo3::prelude::*;
 
-use super::calls::{Extent, PySearchBox};
+use super::calls::{Extent, PySearchBox, SearchBox};
 use super::prediction::PyPrediction;
 use crate::arrays::vector;
 use crate::error::{PyRes, invalid};
@@ -40,19 +40,25 @@ pub fn boxed(
     search: Option<&Py<PySearchBox>>,
     mut extent: Extent,
     mut step: Option<[f64; 2]>,
-    (mut limit, default): (u64, u64),
+    (max_candidates, default): (u64, u64),
 ) -> PyRes<(Extent, Option<[f64; 2]>, u64)> {
+    let mut most = max_candidates;
     if let Some(part) = search.map(|p| p.get().inner) {
         extent.half_width = merge("half_width", "search", extent.half_width, part.half_width, None)?;
         extent.half_width_m = merge("half_width_m", "search", extent.half_width_m, part.half_width_m, None)?;
         extent.step_m = merge("step_m", "search", extent.step_m, part.step_m, None)?;
         step = merge("step", "search", step, part.step, None)?;
-        // A box without a limit of its own leaves that of the call.
-        if part.max_candidates != PosteriorOptions::new([1.0; 2]).max_candidates {
-            limit = merge("max_candidates", "search", limit, part.max_candidates, default)?;
-        }
+        most = limit(&part, max_candidates, default)?;
     }
-    Ok((extent, step, limit))
+    Ok((extent, step, most))
+}
+
+/// The limit of candidates of a call whose own default is another than the box's: a box without a limit leaves that of the call.
+pub fn limit(part: &SearchBox, keyword: u64, default: u64) -> PyRes<u64> {
+    if part.max_candidates == PosteriorOptions::new([1.0; 2]).max_candidates {
+        return Ok(keyword);
+    }
+    merge("max_candidates", "search", keyword, part.max_candidates, default)
 }
 
 /// What is asked for, its extents in map units or metres as they were given.
