@@ -65,6 +65,17 @@ pub fn require_place(what: &str, geographic: bool, place: [f64; 2]) -> Result<()
     Ok(())
 }
 
+/// Refuses points in metres with one that cannot be, naming the first: `{what} {index}`. A name is made for that one alone.
+///
+/// # Errors
+/// As [`require_places`].
+pub fn require_points(what: &str, points: &[[f64; 2]]) -> Result<()> {
+    match points.iter().position(|p| !p.iter().all(|c| c.abs() <= FARTHEST_M)) {
+        None => Ok(()),
+        Some(k) => require_place(&format!("{what} {k}"), false, points[k]),
+    }
+}
+
 /// Refuses values with one that no field has, naming the first: `{what}[{index}]`.
 ///
 /// # Errors

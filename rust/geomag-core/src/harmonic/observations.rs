@@ -1,7 +1,7 @@
 //! What a model is fitted to: components, projections and intensities, mixed, each with its own weight.
 
 use super::Positions;
-use crate::bounds::{FARTHEST_M, require_values};
+use crate::bounds::{FARTHEST_M, MOST_VALUE, require_values};
 use crate::error::{Error, Result};
 
 /// What one number was measured of.
@@ -81,10 +81,9 @@ impl Observations {
         if field.len() != n {
             return Err(Error::shape("field", format!("({n}, 3)"), format!("({}, 3)", field.len())));
         }
-        for (i, f) in field.iter().enumerate() {
-            for (axis, c) in f.iter().enumerate().filter(|(_, c)| !c.is_nan()) {
-                require_values(&format!("field[{i}, {axis}]"), &[*c])?;
-            }
+        let components = field.as_flattened();
+        if let Some(k) = components.iter().position(|c| c.abs() > MOST_VALUE) {
+            require_values(&format!("field[{}, {}]", k / 3, k % 3), &components[k..=k])?;
         }
         let weights = weights(n, sigma)?;
         let first = self.add_points(positions)?;

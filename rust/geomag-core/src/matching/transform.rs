@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::{require_place, require_spread};
+use crate::bounds::{MOST_VALUE, require_points, require_spread};
 use crate::error::{Error, Result};
 
 /// Smallest ratio of the spread across a point set to the spread along it that still counts as a plane figure.
@@ -119,16 +119,15 @@ impl Transform {
         if to.len() != n {
             return Err(Error::shape("transform targets", format!("{n} points as the sources"), to.len()));
         }
-        for (what, points) in [("transform source", from), ("transform target", to)] {
-            points.iter().enumerate().try_for_each(|(k, p)| require_place(&format!("{what} {k}"), false, *p))?;
-        }
+        require_points("transform source", from)?;
+        require_points("transform target", to)?;
         if let Some(w) = weights {
             if w.len() != n {
                 return Err(Error::shape("transform weights", format!("{n} weights as the sources"), w.len()));
             }
-            w.iter()
-                .enumerate()
-                .try_for_each(|(i, w)| require_spread(&format!("transform weights[{i}]"), *w).map(|_| ()))?;
+            if let Some(i) = w.iter().position(|w| !(0.0..=MOST_VALUE).contains(w)) {
+                require_spread(&format!("transform weights[{i}]"), w[i])?;
+            }
         }
         let used = weights.map_or(n, |w| w.iter().filter(|&&w| w > 0.0).count());
         if used < kind.min_points() {
