@@ -138,12 +138,6 @@ macro_rules! iema_class {
             grid: Py<PyAny>,
         }
 
-        impl PyIema {
-            fn begun(grid: &Bound<'_, PyAny>, field: Arc<dyn Field>, options: IemaOptions) -> PyRes<Self> {
-                Ok(Self { inner: Shared::new(Iema::new(field, options)?), grid: grid.clone().unbind() })
-            }
-        }
-
         #[pymethods]
         impl PyIema {
             #[new]
@@ -166,7 +160,7 @@ macro_rules! iema_class {
                 let tolerance = [maybe_pair(py, "tolerance", tolerance.as_ref())?, maybe_pair(py, "tolerance_m", tolerance_m.as_ref())?];
                 let field = field(grid)?;
                 let options = in_units(py, &*field, given, extent, tolerance, search.as_ref(), gate)?;
-                Self::begun(grid, field, options)
+                Ok(Self { inner: Shared::new(Iema::new(field, options)?), grid: grid.clone().unbind() })
             }
 
             /// Take one sample: indicated position (map units), measured value, and height where the map is a `MapStack`. Returns an

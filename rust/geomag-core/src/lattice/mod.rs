@@ -32,10 +32,6 @@ use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::track::Track;
 
-/// Limit on the number of candidates where the caller sets none: 2^28, 2 GiB of scores; in IEMA, which keeps 24 bytes of
-/// every one that its first sample leaves, up to 6 GiB, and twice that while they are gathered.
-pub const DEFAULT_MAX_CANDIDATES: u64 = 1 << 28;
-
 /// What no caller can raise that limit above: 2^31, 16 GiB of scores. Beyond it a machine that promises more memory than
 /// it has would end the process rather than refuse.
 pub const MOST_CANDIDATES: u64 = 1 << 31;

@@ -14,7 +14,7 @@ const MOST_CANDIDATES: u64 = 100_000_000;
 const MOST_DRIFT_M: f64 = 2e7;
 
 /// Largest standard deviation of a height: twice that is the highest continuation that is kept.
-const MOST_HEIGHT_M: f64 = 600.0;
+const MOST_HEIGHT_SIGMA_M: f64 = 600.0;
 
 /// The options of the posterior matchers, each written once: name, kind, default, type as Python documents it, explanation. Grouped by
 /// the part of a call that they belong to; before them come those of `common_options`. Whatever needs a list of them is a macro that is handed this one.
@@ -133,8 +133,12 @@ impl PosteriorOptions {
                 return Err(Error::invalid(name, format!("at most {most}"), value));
             }
         }
-        if require_not_negative("height_sigma_m", self.height_sigma_m)? > MOST_HEIGHT_M {
-            return Err(Error::invalid("height_sigma_m", format!("at most {MOST_HEIGHT_M}"), self.height_sigma_m));
+        if require_not_negative("height_sigma_m", self.height_sigma_m)? > MOST_HEIGHT_SIGMA_M {
+            return Err(Error::invalid(
+                "height_sigma_m",
+                format!("at most {MOST_HEIGHT_SIGMA_M}"),
+                self.height_sigma_m,
+            ));
         }
         if self.misfit_threshold.is_some_and(f64::is_nan) {
             return Err(Error::invalid("misfit_threshold", "a number, infinite for no tests", f64::NAN));
