@@ -308,7 +308,7 @@ class Iema:
 def match_grid(
     grid: _Field,
     track: Track,
-    criterion: str = "msd",
+    criterion: Literal["msd", "mad", "prod", "ncc", "hausdorff"] = "msd",
     *,
     half_width: _Pair | None = None,
     half_width_m: _Pair | None = None,

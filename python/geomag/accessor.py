@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from geomag._geomag import Fix, GridMap, Iema, Track, match_grid
 from geomag._optional import require
+from geomag._words import Criterion
 
 if TYPE_CHECKING:
     import numpy as np
@@ -58,7 +59,7 @@ class GeomagAccessor:
     def match(
         self,
         track: Track,
-        criterion: Literal["msd", "mad", "prod", "ncc", "hausdorff"] = "msd",
+        criterion: Criterion = "msd",
         **options: Any,  # noqa: ANN401 - passed on
     ) -> Fix:
         """Match a track with a similarity measure (`geomag.match_grid`)."""

@@ -33,7 +33,6 @@ TYPES = {
     "bool or callable": "_Progress",
     "array of shape (n,)": "ArrayLike",
     "sequence of float": "ArrayLike",
-    "{'msd', 'mad', 'prod', 'ncc', 'hausdorff'}": "str",
     "GridMap or MapStack": "GridMap | MapStack",
     "{'rigid', 'translation', 'similarity', 'affine'}": "_Transform",
     "{'indicated', 'grid'} or array of shape (n, 2)": 'Literal["indicated", "grid"] | ArrayLike',

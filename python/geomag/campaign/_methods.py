@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Track
+from geomag._words import Criterion
 
 Matcher = Callable[[GridMap, Track], Fix]
 """A matcher of one's own: takes map and track, returns a `Fix`."""
@@ -97,7 +98,7 @@ def grid_search(
 
     Scales of the Hausdorff measure that are not given are those of each trial's own track.
     """
-    names = ("msd", "mad", "prod", "ncc", "hausdorff")
+    names = get_args(Criterion)
     if criterion not in names:
         raise InvalidInputError(f"criterion: needed one of {', '.join(names)}, got {criterion!r}")
     told = _plain({"half_width": half_width, **options})

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid, match_posterior
-
-#: Measures of the grid search.
-Criterion = Literal["msd", "mad", "prod", "ncc", "hausdorff"]
+from geomag._words import Criterion
 
 #: Number of samples, feasible set, and the offsets of its columns and rows.
 Feasible = tuple[int, NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]
@@ -42,7 +40,7 @@ MEANT_FOR = {
     "line_spacing_m": {"posterior", "contour"},
     "scale_sigma": {"posterior", "contour"},
     "tolerance_m": {"iema", "posterior", "contour"},
-    "heading_deg": {"msd", "mad", "prod", "ncc", "hausdorff", "posterior", "contour"},
+    "heading_deg": {*get_args(Criterion), "posterior", "contour"},
 }
 #: Options that plain ICCP has no use for.
 NOT_TO_THE_LETTER = ("tolerance_m", "heading_deg", "scale_sigma")
