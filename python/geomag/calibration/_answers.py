@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import textwrap
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -113,12 +114,16 @@ class Calibration:
         needed = np.sort(np.where(self.fixed, self.samples, np.inf))
         return float(needed[min(int(np.ceil(share * needed.size)) - 1, needed.size - 1)])
 
+    def _binned(self, bins: tuple[float, ...]) -> Iterator[tuple[float, float, npt.NDArray[np.bool_]]]:
+        """Of every risk bin its bounds and the answers that state a risk within it."""
+        stated = ~np.isin(self.status, NO_STATEMENT)
+        for low, high in itertools.pairwise(bins):
+            yield low, high, stated & (self.risk >= low) & (self.risk < high)
+
     def reliability(self, bins: tuple[float, ...] = RISK_BINS) -> list[dict[str, float]]:
         """One row a risk bin: tracks, mean declared risk, observed wrong share, its 95 % Wilson interval."""
-        stated = ~np.isin(self.status, NO_STATEMENT)
         rows = []
-        for low, high in itertools.pairwise(bins):
-            inside = stated & (self.risk >= low) & (self.risk < high)
+        for low, high, inside in self._binned(bins):
             n = int(inside.sum())
             wrong = int(np.sum(self.error_m[inside] > self.tolerance_m))
             below, above = wilson(wrong * self.independent, n * self.independent)
@@ -143,11 +148,9 @@ class Calibration:
         outcomes drawn from the declared risks have as large a one; `all_inside` how often all bins of such outcomes are within their Wilson intervals; `bins`
         how many bins there are. Chi-square's own law does not hold where a bin expects less than some five wrong ones, which is why it is drawn.
         """
-        stated = ~np.isin(self.status, NO_STATEMENT)
         rng = np.random.default_rng(seed)
         seen, drawn, inside, count = 0.0, np.zeros(draws), np.ones(draws, dtype=bool), 0
-        for low, high in itertools.pairwise(bins):
-            some = stated & (self.risk >= low) & (self.risk < high)
+        for _, _, some in self._binned(bins):
             # As many tracks as are independent, spread over the bin's risks.
             risk = np.sort(self.risk[some])
             n = round(self.independent * risk.size)
