@@ -38,7 +38,7 @@ def flown(grid, samples, step=(1.0, 0.7)):
 
 def long_calls(grid):
     long = flown(grid, 3000)
-    sliding = geomag.SlidingContour(grid, length=1000, transform="translation", tolerance_m=1e-12, max_iterations=10**6)
+    sliding = geomag.SlidingContour(grid, length=1000, transform="translation", converged_m=1e-12, max_iterations=10**6)
     # Every candidate is kept for ever.
     iema = geomag.Iema(grid, sigma=1e6, half_width=5000.0, step=(7.0, 7.0))
     return {
@@ -115,7 +115,7 @@ def busy(grid, kind, size):
         return geomag.Iema(grid, sigma=1e6, half_width=5000.0, step=(step, step)), flown(grid, 150)
     if kind == "sliding":
         track = flown(grid, round(400 * size))
-        return geomag.SlidingContour(grid, length=200, transform="translation", tolerance_m=1e-9), track
+        return geomag.SlidingContour(grid, length=200, transform="translation", converged_m=1e-9), track
     step = 12.0 / size
     return geomag.PosteriorMatcher(grid, half_width=5000.0, sigma=1e3, step=(step, step)), flown(grid, 60)
 

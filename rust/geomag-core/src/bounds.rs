@@ -112,12 +112,21 @@ pub fn require_distance_m(what: &str, value: f64) -> Result<f64> {
     }
 }
 
-/// Refuses an extent or a step of a search that is longer than the Earth, or shorter than a lattice resolves ([`LEAST_STEP`]) and not zero.
+/// Refuses an extent of a search that is longer than the Earth.
 ///
 /// # Errors
 /// [`Error::Invalid`].
 pub fn require_extent(what: &str, value: f64) -> Result<()> {
-    require(|| what.to_owned(), value, 2.0 * FARTHEST_M, "an extent")?;
+    require(|| what.to_owned(), value, 2.0 * FARTHEST_M, "an extent")
+}
+
+/// Refuses a step, or an extent that steps are made of, that is longer than the Earth, or shorter than a lattice resolves
+/// ([`LEAST_STEP`]) and not zero.
+///
+/// # Errors
+/// [`Error::Invalid`].
+pub fn require_resolved(what: &str, value: f64) -> Result<()> {
+    require_extent(what, value)?;
     if value == 0.0 || value.abs() >= LEAST_STEP {
         Ok(())
     } else {
@@ -180,7 +189,8 @@ mod tests {
         assert_eq!(pole, "sample y: needed a latitude (degrees) within +-90, got 90.1");
         assert!(matches!(require_place("sample", true, [f64::NAN, 0.0]), Err(Error::NotFinite { .. })));
         assert!(require_extent("half_width x", 1e9).is_err());
-        assert!(require_extent("half_width x", 8.9e-157).is_err() && require_extent("half_width x", 0.0).is_ok());
+        assert!(require_resolved("half_width x", 8.9e-157).is_err() && require_resolved("half_width x", 0.0).is_ok());
+        assert!(require_extent("half_width x", 8.9e-157).is_ok() && require_resolved("step x", 1e9).is_err());
         assert!(require_scale("scale", 9.97e36).is_err() && require_scale("scale", 0.0).is_err());
         assert!(require_scale("scale", 0.9).is_ok());
         let blank = require_values("track values", &[1.0, -1e32]).unwrap_err().to_string();

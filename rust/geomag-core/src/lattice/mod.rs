@@ -27,7 +27,7 @@ pub use tile::{MAX_SLOTS, Measure};
 
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::require_extent;
+use crate::bounds::{require_extent, require_resolved};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::track::Track;
@@ -73,7 +73,7 @@ impl OffsetLattice {
         }
         for (d, axis) in ["x", "y"].iter().enumerate() {
             require_extent(&format!("half_width {axis}"), half_width[d])?;
-            require_extent(&format!("step {axis}"), step[d])?;
+            require_resolved(&format!("step {axis}"), step[d])?;
         }
         Ok(Self { half, step })
     }

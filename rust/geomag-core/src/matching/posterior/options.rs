@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::bounds::{MOST_VALUE, require_distance_m, require_extent, require_spread};
+use crate::bounds::{MOST_VALUE, require_distance_m, require_resolved, require_spread};
 use crate::error::{Error, Result, require_not_negative, require_positive};
 use crate::field::Field;
 use crate::grid::Interpolation;
@@ -106,11 +106,11 @@ impl PosteriorOptions {
     /// # Errors
     /// [`Error::Invalid`] naming the first option out of range.
     pub fn validate(&self) -> Result<()> {
-        require_extent("half_width x", require_positive("half_width x", self.half_width[0])?)?;
-        require_extent("half_width y", require_positive("half_width y", self.half_width[1])?)?;
+        require_resolved("half_width x", require_positive("half_width x", self.half_width[0])?)?;
+        require_resolved("half_width y", require_positive("half_width y", self.half_width[1])?)?;
         if let Some([x, y]) = self.step {
-            require_extent("step x", require_positive("step x", x)?)?;
-            require_extent("step y", require_positive("step y", y)?)?;
+            require_resolved("step x", require_positive("step x", x)?)?;
+            require_resolved("step y", require_positive("step y", y)?)?;
         }
         if let Some(tolerance) = self.tolerance_m {
             require_distance_m("tolerance_m", require_positive("tolerance_m", tolerance)?)?;
