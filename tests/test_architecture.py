@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import sys
 from pathlib import Path
@@ -47,8 +48,7 @@ def test_arrows_go_down(path):
     if own == "lib" or path.stem.startswith("tests"):
         return
     assert own in LEVEL, f"module {own} stands on no floor: name it in FLOORS and in docs/architecture.md"
-    text = without_tests_and_comments(path.read_text(encoding="utf-8"))
-    for used in set(re.findall(r"crate::(\w+)", text)):
+    for used in {reached[0] for reached in arrows(path)}:
         if used in LEVEL:
             assert LEVEL[used] <= LEVEL[own], f"{path.relative_to(ROOT)} uses {used}, which lies above {own}"
 
@@ -87,19 +87,76 @@ SPLIT = ("patch", "kernel", "problem", "streaming")
 FLOORED = {"matching/posterior": POSTERIOR, "navigation/navigator": NAVIGATOR}
 
 
-def reached(text, prefix):
-    """First names after a path, also those in the braces of a `use`: `super::{a::b, c}` reaches a and c."""
-    found = set(re.findall(rf"(?<!super::){prefix}(?!super\b)(\w+)", text))
-    for opening in re.finditer(rf"(?<!super::){prefix}\{{", text):
-        depth, inner = 1, []
-        for letter in text[opening.end() :]:
-            depth += {"{": 1, "}": -1}.get(letter, 0)
-            if depth == 0:
-                break
-            # What stands deeper belongs to the name before its brace.
-            inner.append(letter if depth == 1 else " ")
-        found |= {name.split("::")[0].strip() for name in "".join(inner).split(",")}
-    return found
+def paths(text):
+    """Every path that a text names from `crate`, `super` or `self`, those in the braces of a `use` written out."""
+
+    def tree(at, before):
+        """Paths of the tree that begins at a place, and where it ends."""
+        found = []
+        while True:
+            if text[at] == "{":
+                at += 1
+                while text[at] != "}":
+                    inner, at = tree(at, before)
+                    found += inner
+                    at = re.compile(r"[\s,]*").match(text, at).end()
+                return found, at + 1
+            name = re.compile(r"\s*([\w*]+)(?:\s+as\s+\w+)?\s*(::)?\s*(?=([{\w*])?)").match(text, at)
+            if name is None:
+                return [*found, before], at
+            before, at = (*before, name[1]), name.end()
+            if not (name[2] and name[3]):
+                return [*found, before], at
+
+    found = []
+    for start in re.finditer(r"(?<![\w:])(crate|super|self)::(?=[\s\w{*])", text):
+        found += tree(start.end(), (start[1],))[0]
+    return set(found)
+
+
+def module(path):
+    """The module that a file is, as a tuple of names."""
+    relative = path.relative_to(CORE).with_suffix("")
+    return tuple(part for part in relative.parts if part not in ("mod", "lib"))
+
+
+def resolved(named, own):
+    """A path from the crate's root, as seen from a module."""
+    while named and named[0] in ("crate", "self", "super"):
+        own = {"crate": (), "self": own, "super": own[:-1]}[named[0]]
+        named = named[1:]
+    return own + named
+
+
+def through_what_is_handed_on(path):
+    """A path with the names that a folder's own file hands on followed to the module that has them."""
+    for depth in range(1, len(path)):
+        owner = CORE.joinpath(*path[:depth]) / "mod.rs"
+        target = handed_on(owner).get(path[depth], path) if owner.exists() else path
+        if target[: depth + 1] != path[: depth + 1]:  # a module may bear the name of what it hands on
+            return through_what_is_handed_on(target)
+    return path
+
+
+def arrows(file):
+    """Paths from the crate's root of all that a file names."""
+    text = without_tests_and_comments(file.read_text(encoding="utf-8"))
+    found = {through_what_is_handed_on(resolved(named, module(file))) for named in paths(text)}
+    return {path for path in found if path}
+
+
+@functools.cache
+def handed_on(file):
+    """Name -> its path, of what a file hands on with `pub use` from the modules below it."""
+    text, own = without_tests_and_comments(file.read_text(encoding="utf-8")), module(file)
+    names = {}
+    for use in re.finditer(r"\bpub(?:\([\w ]+\))? use ([^;]+);", text):
+        start = use[1] if re.match(r"(?:crate|self|super)\b", use[1]) else f"self::{use[1]}"
+        for named in paths(start):
+            path = resolved(named, own)
+            if len(path) > len(own) + 1 and path[: len(own)] == own:
+                names[path[-1]] = path
+    return names
 
 
 def siblings(folder):
@@ -108,15 +165,11 @@ def siblings(folder):
     for path in folder.glob("*/**/*.rs"):
         inside.setdefault(path.relative_to(folder).parts[0], []).append(path)
     inside = {name: paths for name, paths in inside.items() if not name.startswith("tests")}
-    path = "::".join(folder.relative_to(CORE).parts)
+    at = folder.relative_to(CORE).parts
     uses = {}
     for name, files in inside.items():
-        uses[name] = set()
-        for file in files:
-            text = without_tests_and_comments(file.read_text(encoding="utf-8"))
-            depth = len(file.relative_to(folder).parts) - 1 + (0 if file.stem == "mod" else 1)
-            found = reached(text, f"crate::{path}::") | reached(text, "super::" * max(depth, 1))
-            uses[name] |= {other for other in found if other in inside and other != name}
+        reached = {path[len(at)] for file in files for path in arrows(file) if path[: len(at)] == at and path != at}
+        uses[name] = {other for other in reached if other in inside and other != name}
     return uses
 
 
@@ -182,15 +235,40 @@ def test_the_parts_of_a_folder_take_nothing_from_its_own_file(name):
     assert not re.search(r"^\s*(?:pub\S* )?(?:fn|struct|enum|impl|const|trait)\b", text, re.M)
 
 
-def test_names_in_braces_are_arrows_too():
-    assert reached("use super::{a::{b, c}, d};\nuse super::super::e::F;", "super::") == {"a", "d"}
-    assert reached("use super::super::{e::F, g};", "super::super::") == {"e", "g"}
+@pytest.mark.parametrize(
+    "use",
+    [
+        "use super::decide::answer;",
+        "use super::{noise::Level, decide::{self, answer}};",
+        "use super::super::posterior::decide::answer;",
+        "use crate::{error::Error, matching::posterior::{decide::answer, noise}};",
+        "use crate::{\n    error::Error,\n    matching::{\n        posterior::decide,\n    },\n};",
+        "use crate::matching::posterior::decide as last;",
+        "use super::decide::*;",
+        "fn f() -> X { crate::matching::posterior::decide::answer() }",
+        "fn f() -> X { self::super::decide::answer() }",
+    ],
+)
+def test_an_upward_arrow_is_seen_however_it_is_written(use):
+    own = ("matching", "posterior", "lattice")
+    assert ("matching", "posterior", "decide") in {resolved(named, own)[:3] for named in paths(use)}
+    assert not {resolved(named, own)[:3] for named in paths("use super::noise::decide; let x = y.decide;")} & {
+        ("matching", "posterior", "decide")
+    }
+
+
+def test_a_name_that_a_folder_hands_on_is_an_arrow_to_who_has_it():
+    assert through_what_is_handed_on(("matching", "posterior", "PosteriorMatcher")) == (
+        *("matching", "posterior", "streaming", "matcher", "PosteriorMatcher"),
+    )
+    assert through_what_is_handed_on(("matching", "posterior", "match_many")) == (
+        *("matching", "posterior", "batch", "match_many"),
+    )
 
 
 def test_kalman_knows_no_field():
     for path in (CORE / "kalman").rglob("*.rs"):
-        text = without_tests_and_comments(path.read_text(encoding="utf-8"))
-        used = set(re.findall(r"crate::(\w+)", text))
+        used = {reached[0] for reached in arrows(path)}
         assert not used & {"field", "grid", "harmonic", "track", "fix", "frame"}, path
 
 
