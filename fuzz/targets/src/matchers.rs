@@ -164,8 +164,8 @@ pub fn contour(data: &[u8]) {
     show(&(&map, &track, &options, sigma));
     let fix = if s.one_in(4) {
         let weights = s.one_in(2).then(|| s.numbers(track.len(), 0.0, 2.0));
-        let second = Channel { map: &map, values: track.values(), sigma: s.maybe(0.1, 5.0) };
-        let channels = [Channel { map: &map, values: track.values(), sigma }, second];
+        let second = Channel { field: &map, values: track.values(), sigma: s.maybe(0.1, 5.0) };
+        let channels = [Channel { field: &map, values: track.values(), sigma }, second];
         contour::match_channels(&channels, &track, weights.as_deref(), &options)
     } else {
         match_contour(&map, &track, sigma, &options)
@@ -221,7 +221,7 @@ pub fn posterior(data: &[u8]) {
     let sigma = s.maybe(0.1, 5.0);
     show(&(&field, &track, &options, sigma));
     let fix = if s.one_in(8) {
-        let channel = posterior::Channel { field: field.as_ref(), values: track.values(), sigma };
+        let channel = Channel { field: field.as_ref(), values: track.values(), sigma };
         posterior::match_channels(&[channel, channel], &track, &options)
     } else {
         match_posterior(field.as_ref(), &track, sigma, &options)

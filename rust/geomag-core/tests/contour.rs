@@ -293,8 +293,8 @@ fn two_fields_beat_one() {
     let mut sum = [0.0; 2];
     for seed in 0..40 {
         let (track, end, others) = flown([400.0, 300.0], 0.0, 2.0, seed);
-        let one = [Channel { map: &map, values: track.values(), sigma: Some(2.0) }];
-        let two = [one[0], Channel { map: &other, values: &others, sigma: Some(2.0) }];
+        let one = [Channel { field: &map, values: track.values(), sigma: Some(2.0) }];
+        let two = [one[0], Channel { field: &other, values: &others, sigma: Some(2.0) }];
         for (i, channels) in [&one[..], &two[..]].into_iter().enumerate() {
             let fix = match_channels(channels, &track, None, &tight(TransformKind::Translation)).unwrap();
             sum[i] += (fix.x - end[0]).hypot(fix.y - end[1]);
@@ -303,8 +303,8 @@ fn two_fields_beat_one() {
     assert!(sum[1] < 0.8 * sum[0], "{sum:?}");
     let (track, _, others) = flown([400.0, 300.0], 0.0, 2.0, 0);
     let no_sigma = [
-        Channel { map: &map, values: track.values(), sigma: None },
-        Channel { map: &other, values: &others, sigma: Some(2.0) },
+        Channel { field: &map, values: track.values(), sigma: None },
+        Channel { field: &other, values: &others, sigma: Some(2.0) },
     ];
     assert!(matches!(match_channels(&no_sigma, &track, None, &ContourOptions::default()), Err(Error::Invalid { .. })));
 }
@@ -441,8 +441,8 @@ fn every_channel_has_its_share_of_samples_where_misfits_are_compared() {
     let options = ContourOptions { starts: Starts::grid(1000.0, 250.0), ..tight(TransformKind::Translation) };
     let status = |other: &GridMap| {
         let channels = [
-            Channel { map: &map, values: track.values(), sigma: Some(1.0) },
-            Channel { map: other, values: &others, sigma: Some(1.0) },
+            Channel { field: &map, values: track.values(), sigma: Some(1.0) },
+            Channel { field: other, values: &others, sigma: Some(1.0) },
         ];
         match_channels(&channels, &track, None, &options).unwrap().status
     };

@@ -600,8 +600,8 @@ fn matched(
     }
     let units = work(&options, track.len(), 1 + others.len());
     let mut fix = long_call::run(py, units, None, None, |monitor| {
-        let mut all = vec![Channel { map: &map, values: track.values(), sigma }];
-        all.extend(others.iter().map(|(map, values, sigma)| Channel { map, values, sigma: Some(*sigma) }));
+        let mut all = vec![Channel { field: &*map, values: track.values(), sigma }];
+        all.extend(others.iter().map(|(map, values, sigma)| Channel { field: &**map, values, sigma: Some(*sigma) }));
         match_channels_monitored(&all, &track, weights.as_deref(), &options, monitor)
     })?;
     if track.height_m().is_some() && !same_map(grid, &map) {

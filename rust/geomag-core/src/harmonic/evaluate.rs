@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 /// Points that one task takes: some tens of microseconds.
 const CHUNK: usize = 2 * BLOCK;
 /// Points for which a small block is enough.
-const FEW: usize = 16;
+const FEW_POINTS: usize = 16;
 
 /// Points of a frame: north, east and down in metres, one array each, of one length.
 #[derive(Debug, Clone, Copy)]
@@ -118,8 +118,8 @@ impl RectangularHarmonicModel {
         take: impl FnMut(usize, Option<Evaluation>),
     ) {
         // A filter asks for a few points at a time and should not clear room for hundreds.
-        if range.len() <= FEW {
-            self.for_each_block::<GRADIENT, FEW>(positions, range, extrapolate, take);
+        if range.len() <= FEW_POINTS {
+            self.for_each_block::<GRADIENT, FEW_POINTS>(positions, range, extrapolate, take);
         } else {
             self.for_each_block::<GRADIENT, BLOCK>(positions, range, extrapolate, take);
         }

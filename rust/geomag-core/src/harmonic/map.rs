@@ -117,21 +117,21 @@ pub struct HarmonicMap {
     /// As it was asked for, and as the model has it.
     asked: Quantity,
     quantity: Quantity,
-    level: Level,
+    level: Altitude,
     spacing: [f64; 2],
     mean: f64,
 }
 
 /// Where the scalar is taken.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) enum Level {
+pub(crate) enum Altitude {
     /// A height above the Earth of a frame; geographic coordinates.
     Height(LocalFrame, f64),
     /// A plane of the frame.
     Down(f64),
 }
 
-impl Level {
+impl Altitude {
     /// The point of the frame under map coordinates.
     pub(crate) fn point(self, x: f64, y: f64) -> [f64; 3] {
         match self {
@@ -168,7 +168,7 @@ impl HarmonicMap {
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
-        Self::on(model, quantity, Level::Height(frame, height_m))
+        Self::on(model, quantity, Altitude::Height(frame, height_m))
     }
 
     /// On a plane of the frame, `down_m` below its origin; coordinates in metres.
@@ -177,17 +177,17 @@ impl HarmonicMap {
     /// [`Error::Invalid`] for a main field of length zero; [`Error::NotFinite`].
     pub fn at_down(model: Arc<RectangularHarmonicModel>, quantity: Quantity, down_m: f64) -> Result<Self> {
         require_finite("down_m", &[down_m])?;
-        Self::on(model, quantity, Level::Down(down_m))
+        Self::on(model, quantity, Altitude::Down(down_m))
     }
 
-    pub(crate) fn on(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Level) -> Result<Self> {
+    pub(crate) fn on(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Altitude) -> Result<Self> {
         let asked = quantity.validate()?;
         let quantity = model.as_fitted(asked);
         let order = model.order().max(1) as f64;
         let [north, east] = model.periods_m().map(|p| p / order / NODES_A_WAVELENGTH);
         let spacing = match level {
-            Level::Down(_) => [east, north],
-            Level::Height(frame, _) => {
+            Altitude::Down(_) => [east, north],
+            Altitude::Height(frame, _) => {
                 let [east_scale, north_scale] = metres_per_degree(frame.latitude_deg());
                 [east / east_scale.max(1.0), north / north_scale]
             }
@@ -290,14 +290,14 @@ impl HarmonicMap {
     }
 
     /// The level at a height above the datum: the ellipsoid of the frame, or the height of the frame's origin less `down`.
-    fn level_at(&self, height_m: f64) -> Level {
+    fn level_at(&self, height_m: f64) -> Altitude {
         match self.level {
-            Level::Height(frame, _) => Level::Height(frame, height_m),
-            Level::Down(_) => Level::Down(self.model.frame().map_or(0.0, LocalFrame::height_m) - height_m),
+            Altitude::Height(frame, _) => Altitude::Height(frame, height_m),
+            Altitude::Down(_) => Altitude::Down(self.model.frame().map_or(0.0, LocalFrame::height_m) - height_m),
         }
     }
 
-    fn at_level(&self, level: Level) -> Self {
+    fn at_level(&self, level: Altitude) -> Self {
         let mut map = Self { level, ..self.clone() };
         map.mean = map.mean_over_region();
         map
@@ -313,8 +313,8 @@ impl HarmonicMap {
         let corner = |i: usize| {
             let (north, east) = (region.north_m[i / 2], region.east_m[i % 2]);
             match self.level {
-                Level::Down(_) => [east, north],
-                Level::Height(frame, _) => {
+                Altitude::Down(_) => [east, north],
+                Altitude::Height(frame, _) => {
                     let [latitude, longitude, _] = frame.inverse([north, east, region.down_m[1]]);
                     [self.wrap_x(longitude), latitude]
                 }
@@ -354,8 +354,8 @@ impl HarmonicMap {
         let place = |k: usize| {
             let (north, east) = (at(region.north_m, k / along), at(region.east_m, k % along));
             match self.level {
-                Level::Down(_) => [east, north],
-                Level::Height(frame, _) => {
+                Altitude::Down(_) => [east, north],
+                Altitude::Height(frame, _) => {
                     let [latitude, longitude, _] = frame.inverse([north, east, region.down_m[1]]);
                     [longitude, latitude]
                 }
@@ -421,15 +421,15 @@ impl Field for HarmonicMap {
 
     fn heights(&self) -> Option<[f64; 2]> {
         let lowest = match self.level {
-            Level::Height(frame, _) => frame.height_m() - self.model.region().down_m[1],
-            Level::Down(_) => self.model.frame().map_or(0.0, LocalFrame::height_m) - self.model.region().down_m[1],
+            Altitude::Height(frame, _) => frame.height_m() - self.model.region().down_m[1],
+            Altitude::Down(_) => self.model.frame().map_or(0.0, LocalFrame::height_m) - self.model.region().down_m[1],
         };
         Some([lowest, f64::INFINITY])
     }
 
     fn between(&self, low_m: f64, high_m: f64) -> Result<Option<Box<dyn Field>>> {
-        let same = |level: Level| match (level, self.level) {
-            (Level::Height(_, a), Level::Height(_, b)) | (Level::Down(a), Level::Down(b)) => {
+        let same = |level: Altitude| match (level, self.level) {
+            (Altitude::Height(_, a), Altitude::Height(_, b)) | (Altitude::Down(a), Altitude::Down(b)) => {
                 (a - b).abs() < SAME_LEVEL_M
             }
             _ => false,
@@ -444,13 +444,13 @@ impl Field for HarmonicMap {
     }
 
     fn geographic(&self) -> bool {
-        matches!(self.level, Level::Height(..))
+        matches!(self.level, Altitude::Height(..))
     }
 
     fn wrap_x(&self, x: f64) -> f64 {
         match self.level {
-            Level::Height(frame, _) => wrap_longitude(x, frame.longitude_deg()),
-            Level::Down(_) => x,
+            Altitude::Height(frame, _) => wrap_longitude(x, frame.longitude_deg()),
+            Altitude::Down(_) => x,
         }
     }
 

@@ -11,7 +11,7 @@ use crate::error::{Error, Result, require_not_negative};
 use crate::monitor::{Monitor, Quiet};
 
 /// Shares of the variance that are tried for the nugget.
-const STEPS: u32 = 400;
+const NUGGET_SHARES: u32 = 400;
 
 /// What makes the standard deviation of a prediction out of that of the coefficients:
 /// `sigma^2 = nugget^2 + (scale s)^2`, s from the covariance of the coefficients.
@@ -76,8 +76,8 @@ impl Misfit {
             return Ok(Self { nugget: 0.0, scale: 0.0 });
         }
         // Evenly spaced in the logarithm of the odds: never quite zero, as some s may be.
-        let odds = |k: u32| 1.0 / (1.0 + (-24.0 * (f64::from(k) / f64::from(STEPS) - 0.5)).exp());
-        let (_, share, level) = (0..=STEPS)
+        let odds = |k: u32| 1.0 / (1.0 + (-24.0 * (f64::from(k) / f64::from(NUGGET_SHARES) - 0.5)).exp());
+        let (_, share, level) = (0..=NUGGET_SHARES)
             .map(odds)
             .chain([1.0])
             .map(|share| (profile(share), share))

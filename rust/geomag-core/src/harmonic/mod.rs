@@ -26,11 +26,11 @@ use serde::{Deserialize, Serialize};
 pub use basis::{Prior, Term, coefficient_count, terms};
 pub use evaluate::{Evaluation, Positions};
 pub use fit::{FitOptions, FitSummary, Period, Regularisation, fit};
-pub(crate) use map::Level;
+pub(crate) use map::Altitude;
 pub use map::{HarmonicMap, Quantity};
 pub use misfit::{Left, Misfit, leave_out};
 pub use observations::Observations;
-pub use select::{Candidate, Selection, SelectionOptions, select};
+pub use select::{Choice, Selection, SelectionOptions, select};
 
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::frame::LocalFrame;

@@ -35,7 +35,7 @@ pub struct SelectionOptions {
 
 /// One choice and how well it predicted what it had not seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
+pub struct Choice {
     /// Order.
     pub order: usize,
     /// Periods as multiples of the extent.
@@ -54,7 +54,7 @@ pub struct Candidate {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Selection {
     /// Every candidate.
-    pub candidates: Vec<Candidate>,
+    pub candidates: Vec<Choice>,
     /// Index of the one with the least `rms`.
     pub best: usize,
 }
@@ -145,7 +145,7 @@ pub fn select(
         }
         for (&(order, ridge, prior), parts) in choices.iter().zip(&squares) {
             let (rms, rms_error) = summarise(parts);
-            candidates.push(Candidate { order, period_ratio, ridge, prior: choice.priors[prior], rms, rms_error });
+            candidates.push(Choice { order, period_ratio, ridge, prior: choice.priors[prior], rms, rms_error });
         }
     }
     let best = (0..candidates.len()).fold(0, |best, k| if candidates[k].rms < candidates[best].rms { k } else { best });

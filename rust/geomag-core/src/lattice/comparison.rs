@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::OffsetLattice;
 use super::best_two::BestTwo;
-use super::shift::{Classes, Row, Shift};
+use super::shift::{Classes, Shift, ShiftedRow};
 use super::simd::{Real, dispatch};
 use super::tile::{Floor, MAX_SLOTS, Measure, TILE_COLUMNS, TILE_ROWS, Tile, TileScores};
 use crate::error::{Error, Result, grantable, require_weights};
@@ -290,8 +290,8 @@ impl<'a> Comparison<'a> {
             let start = [first as i64 - half[0] as i64, row as i64 - half[1] as i64];
             let shift = classes.shift(position, start, [class, 0]);
             let level = |grid: &GridMap, out: &mut [f64]| match grid.values() {
-                GridValues::F64(v) => dispatch(Row { values: v, grid, shift, out, first: class, stride: qx }),
-                GridValues::F32(v) => dispatch(Row { values: v, grid, shift, out, first: class, stride: qx }),
+                GridValues::F64(v) => dispatch(ShiftedRow { values: v, grid, shift, out, first: class, stride: qx }),
+                GridValues::F32(v) => dispatch(ShiftedRow { values: v, grid, shift, out, first: class, stride: qx }),
             };
             let (Some(stack), Some(storey)) = (self.field.as_stack(), self.storeys.get(k)) else {
                 level(grid, out);

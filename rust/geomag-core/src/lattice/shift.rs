@@ -71,7 +71,7 @@ impl Classes {
 }
 
 /// Map values of one sample under one row of one class of offsets, into every `stride`-th place of `out`.
-pub(super) struct Row<'a, T> {
+pub(super) struct ShiftedRow<'a, T> {
     pub values: &'a [T],
     pub grid: &'a GridMap,
     pub shift: Shift,
@@ -80,7 +80,7 @@ pub(super) struct Row<'a, T> {
     pub stride: usize,
 }
 
-impl<T: Real> Kernel for Row<'_, T> {
+impl<T: Real> Kernel for ShiftedRow<'_, T> {
     type Output = ();
 
     #[inline(always)]

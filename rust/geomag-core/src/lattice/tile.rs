@@ -249,14 +249,14 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
                 }
             }
             let mut copied = scores.overhang.chunks_exact(height * width);
-            let samples: [Sample<'_, T>; GROUP] = std::array::from_fn(|i| {
+            let samples: [TileSample<'_, T>; GROUP] = std::array::from_fn(|i| {
                 let k = (first + i).min(tile.shifts.len() - 1);
                 let (nodes, stride) = match on_map[i] {
                     Some(at) => (&tile.nodes(k)[at..], tile.map_columns()),
                     None => (copied.next().unwrap_or(&[]), width),
                 };
                 let weight = tile.weights.map_or(T::from_f64(1.0), |w| w[k]);
-                Sample::new(&tile.shifts[k], nodes, stride, tile.measured[k], weight)
+                TileSample::new(&tile.shifts[k], nodes, stride, tile.measured[k], weight)
             });
             // The limit falls as other tiles are finished; what rounding leaves undecided is worked out.
             // A score is divided by its own sum of weights, in T: up to half a rounding a sample beyond that in double.
@@ -337,7 +337,7 @@ impl<T: Real, M: Measure, const FULL: bool> ScoreTile<'_, '_, T, M, FULL> {
 /// (1 - t)(a + ratio b): one operation, and 1 - t goes into the weights of the rows. It is never zero, and however small
 /// it is the relative rounding is the same.
 #[derive(Clone, Copy)]
-struct Sample<'a, T> {
+struct TileSample<'a, T> {
     nodes: &'a [T],
     stride: usize,
     ratio: T,
@@ -350,7 +350,7 @@ struct Sample<'a, T> {
     weight: T,
 }
 
-impl<'a, T: Real> Sample<'a, T> {
+impl<'a, T: Real> TileSample<'a, T> {
     fn new(shift: &Shift, nodes: &'a [T], stride: usize, v: T, weight: T) -> Self {
         let (tx, rest) = (shift.tx, 1.0 - shift.tx);
         let between = shift.ty > 0.0;
@@ -368,7 +368,7 @@ impl<'a, T: Real> Sample<'a, T> {
     }
 }
 
-impl<T: Real> Sample<'_, T> {
+impl<T: Real> TileSample<'_, T> {
     /// A pair of vectors of a node row, interpolated along x, up to the factor that is in the weights of the rows.
     #[inline(always)]
     fn along<S: Simd, const FULL: bool>(&self, simd: S, ratio: T::Vector<S>, nodes: &[T]) -> [T::Vector<S>; PAIR] {
@@ -395,7 +395,7 @@ impl<T: Real> Sample<'_, T> {
 struct Block<'a, S, T, M> {
     simd: S,
     measure: M,
-    samples: &'a [Sample<'a, T>],
+    samples: &'a [TileSample<'a, T>],
     column: usize,
 }
 

@@ -12,15 +12,24 @@ use crate::track::Track;
 ///
 /// Several channels are matched at once: two or three components of one field, or magnetics and gravity together. Their
 /// maps must use the same coordinates; spacing and extent are each map's own.
-#[derive(Debug, Clone, Copy)]
-pub struct Channel<'a> {
-    /// The map.
-    pub map: &'a GridMap,
-    /// One measured value a sample of the track.
+#[derive(Debug)]
+pub struct Channel<'a, F: ?Sized = dyn Field + 'a> {
+    /// The map: contours want a grid, the posterior takes any field.
+    pub field: &'a F,
+    /// One measured value a sample of the track, value units.
     pub values: &'a [f64],
-    /// Standard deviation of the measurement, map units; `None` where it is not known.
+    /// Standard deviation of the sensor, value units; `None` where it is not known.
     pub sigma: Option<f64>,
 }
+
+// Derived, these would ask that the field itself can be copied.
+impl<F: ?Sized> Clone for Channel<'_, F> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<F: ?Sized> Copy for Channel<'_, F> {}
 
 /// What is known of the INS beforehand, each written once; see `table.rs`.
 #[doc(hidden)]
@@ -139,7 +148,7 @@ pub(crate) struct Judgement {
 /// metres from the newest point. A rotation in degrees of longitude and latitude would be none.
 #[derive(Debug)]
 pub(crate) struct Scene<'a> {
-    pub channels: &'a [Channel<'a>],
+    pub channels: &'a [Channel<'a, GridMap>],
     pub track: &'a Track,
     pub levers: Vec<[f64; 2]>,
     /// Channel by channel, one placement a sample.
@@ -148,7 +157,7 @@ pub(crate) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    pub fn new(channels: &'a [Channel<'a>], track: &'a Track, weights: Option<&'a [f64]>) -> Result<Self> {
+    pub fn new(channels: &'a [Channel<'a, GridMap>], track: &'a Track, weights: Option<&'a [f64]>) -> Result<Self> {
         let Some(first) = channels.first() else {
             return Err(Error::invalid("channels", "at least one", 0));
         };
@@ -165,7 +174,7 @@ impl<'a> Scene<'a> {
             if let Some(sigma) = channel.sigma {
                 require_not_negative(&format!("channel {c} sigma"), sigma)?;
             }
-            if channel.map.geographic() != first.map.geographic() {
+            if channel.field.geographic() != first.field.geographic() {
                 return Err(Error::invalid(
                     format!("channel {c} map"),
                     "the same kind of coordinates as the first",
@@ -185,16 +194,16 @@ impl<'a> Scene<'a> {
                 return Err(Error::invalid("weights", "at least one weight > 0", "only zeros"));
             }
         }
-        track.require_on(first.map.geographic())?;
+        track.require_on(first.field.geographic())?;
         let newest = track.newest();
-        let levers = (0..n).map(|k| first.map.displacement_m(newest, track.point(k))).collect();
+        let levers = (0..n).map(|k| first.field.displacement_m(newest, track.point(k))).collect();
         let placements = channels
             .iter()
             .map(|channel| {
                 (0..n)
                     .map(|k| {
                         let [x, y] = track.point(k);
-                        Placement { base: channel.map.position(x, y), cell_m: cell_size_m(channel.map, y) }
+                        Placement { base: channel.field.position(x, y), cell_m: cell_size_m(channel.field, y) }
                     })
                     .collect()
             })
@@ -215,7 +224,7 @@ impl<'a> Scene<'a> {
     pub fn sample(&self, c: usize, k: usize, displacement: [f64; 2], method: Interpolation) -> (f64, [f64; 2]) {
         let placement = &self.placements[c][k];
         let [px, py] = placement.position(displacement);
-        let (value, [dx, dy]) = self.channels[c].map.at_position(px, py, method);
+        let (value, [dx, dy]) = self.channels[c].field.at_position(px, py, method);
         (value, [dx / placement.cell_m[0], dy / placement.cell_m[1]])
     }
 
@@ -264,7 +273,7 @@ impl<'a> Scene<'a> {
 
     /// Points of the track moved by displacements, map units.
     pub fn moved(&self, displacements: &[[f64; 2]]) -> Vec<[f64; 2]> {
-        let map = self.channels[0].map;
+        let map = self.channels[0].field;
         displacements
             .iter()
             .enumerate()
@@ -280,7 +289,7 @@ impl<'a> Scene<'a> {
 
     /// The offset in map units at the newest point for a displacement there.
     pub fn newest_offset(&self, displacement: [f64; 2]) -> [f64; 2] {
-        let [east, north] = self.channels[0].map.metres_per_unit(self.track.newest()[1]);
+        let [east, north] = self.channels[0].field.metres_per_unit(self.track.newest()[1]);
         [displacement[0] / east, displacement[1] / north]
     }
 }
@@ -297,7 +306,7 @@ mod tests {
         let map = GridMap::new(GridValues::F64(vec![1.0; 9]), &[9.0, 10.0, 11.0], &axis, true).unwrap();
         for latitude in [89.0, 89.999_999, 90.0 - 1e-9, 90.0_f64.next_down(), 90.0] {
             let track = Track::new(vec![10.0; 2], vec![88.5, latitude], vec![1.0; 2], None).unwrap();
-            let channels = [Channel { map: &map, values: track.values(), sigma: None }];
+            let channels = [Channel { field: &map, values: track.values(), sigma: None }];
             let scene = Scene::new(&channels, &track, None).unwrap();
             for east in [-3e5, 0.0, 3e5] {
                 let moved = scene.moved(&[[east, -2e3]; 2]);

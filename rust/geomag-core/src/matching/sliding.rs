@@ -197,7 +197,7 @@ impl SlidingState {
     }
 
     fn match_window(&mut self, map: &GridMap, track: &Track, monitor: &dyn Monitor) -> Result<Fix> {
-        let channels = [Channel { map, values: track.values(), sigma: self.sigma }];
+        let channels = [Channel { field: map, values: track.values(), sigma: self.sigma }];
         let scene = Scene::new(&channels, track, None)?;
         let matcher = match Iccp::new(&scene, &self.options) {
             // A vehicle at rest, or straight ahead under an affine transform: the next samples may mend it.

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::{metres_per_degree, wrap_longitude};
 use crate::grid::{Axis, GridMap, GridValues, Interpolation};
-use crate::harmonic::{HarmonicMap, Level, Positions, Quantity, RectangularHarmonicModel};
+use crate::harmonic::{Altitude, HarmonicMap, Positions, Quantity, RectangularHarmonicModel};
 
 /// Nodes along each axis at which the standard deviation of a model is computed beforehand.
 const SIGMA_NODES: usize = 9;
@@ -36,7 +36,7 @@ enum Source {
     Harmonic {
         model: Arc<RectangularHarmonicModel>,
         sensor: Sensor,
-        level: Level,
+        level: Altitude,
         /// On a plane, the model with zero there, so that a filter pays for no exponential.
         flat: Option<Arc<RectangularHarmonicModel>>,
     },
@@ -53,7 +53,7 @@ impl Sensing {
     /// [`Error::NotFinite`], [`Error::Invalid`] for a main field of length zero.
     pub fn at_down(model: Arc<RectangularHarmonicModel>, sensor: Sensor, down_m: f64) -> Result<Self> {
         crate::error::require_finite("down_m", &[down_m])?;
-        Self::harmonic(model, sensor, Level::Down(down_m))
+        Self::harmonic(model, sensor, Altitude::Down(down_m))
     }
 
     /// A sensor at a constant height above the Earth of a harmonic model's frame; coordinates in degrees.
@@ -65,7 +65,7 @@ impl Sensing {
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
-        Self::harmonic(model, sensor, Level::Height(frame, height_m))
+        Self::harmonic(model, sensor, Altitude::Height(frame, height_m))
     }
 
     /// A scalar sensor over a map; `interpolation` is how a grid is read between its nodes (bicubic for smooth
@@ -74,7 +74,7 @@ impl Sensing {
         Self { source: Source::Map { field, interpolation }, sigma: Vec::new(), largest_sigma: Vec::new() }
     }
 
-    fn harmonic(model: Arc<RectangularHarmonicModel>, sensor: Sensor, level: Level) -> Result<Self> {
+    fn harmonic(model: Arc<RectangularHarmonicModel>, sensor: Sensor, level: Altitude) -> Result<Self> {
         let sensor = match sensor {
             Sensor::Scalar(quantity) => {
                 HarmonicMap::on(Arc::clone(&model), quantity, level)?;
@@ -89,7 +89,7 @@ impl Sensing {
         };
         let shared = Arc::clone(&model);
         let flat = match level {
-            Level::Down(down) if model.region().down_m[0] <= down && model.contains(centre_of(&model, down)) => {
+            Altitude::Down(down) if model.region().down_m[0] <= down && model.contains(centre_of(&model, down)) => {
                 Some(Arc::new(model.seen_from(down)))
             }
             _ => None,
@@ -123,7 +123,7 @@ impl Sensing {
     /// Whether coordinates are degrees.
     pub fn geographic(&self) -> bool {
         match &self.source {
-            Source::Harmonic { level, .. } => matches!(level, Level::Height(..)),
+            Source::Harmonic { level, .. } => matches!(level, Altitude::Height(..)),
             Source::Map { field, .. } => field.geographic(),
         }
     }
@@ -131,7 +131,7 @@ impl Sensing {
     /// Metres per map unit `[east, north]` at a place.
     pub fn metres_per_unit(&self, y: f64) -> [f64; 2] {
         match &self.source {
-            Source::Harmonic { level: Level::Height(..), .. } => metres_per_degree(y),
+            Source::Harmonic { level: Altitude::Height(..), .. } => metres_per_degree(y),
             Source::Harmonic { .. } => [1.0, 1.0],
             Source::Map { field, .. } => field.metres_per_unit(y),
         }
@@ -140,7 +140,7 @@ impl Sensing {
     /// Brings a longitude to the turn that the field is on.
     pub fn wrap_x(&self, x: f64) -> f64 {
         match &self.source {
-            Source::Harmonic { level: Level::Height(frame, _), .. } => wrap_longitude(x, frame.longitude_deg()),
+            Source::Harmonic { level: Altitude::Height(frame, _), .. } => wrap_longitude(x, frame.longitude_deg()),
             Source::Harmonic { .. } => x,
             Source::Map { field, .. } => field.wrap_x(x),
         }
@@ -249,11 +249,11 @@ impl Sensing {
 
     /// The standard deviation on a few nodes over the region: a covariance of hundreds of coefficients is too slow for
     /// every step of a filter, and what it says is smooth.
-    fn sigma_maps(&self, model: &RectangularHarmonicModel, level: Level) -> Result<Vec<GridMap>> {
+    fn sigma_maps(&self, model: &RectangularHarmonicModel, level: Altitude) -> Result<Vec<GridMap>> {
         let region = model.region();
         let (x, y) = match level {
-            Level::Down(_) => (region.east_m, region.north_m),
-            Level::Height(frame, _) => {
+            Altitude::Down(_) => (region.east_m, region.north_m),
+            Altitude::Height(frame, _) => {
                 let corner =
                     |i: usize, j: usize| frame.inverse([region.north_m[i], region.east_m[j], region.down_m[1]]);
                 let corners = [corner(0, 0), corner(0, 1), corner(1, 0), corner(1, 1)];

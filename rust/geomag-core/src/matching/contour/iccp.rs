@@ -234,7 +234,7 @@ impl<'a> Iccp<'a> {
                 let at = placement.position(moved);
                 let hint = &mut hints[c * self.scene.len() + k];
                 let [clear, reach] = hint.bounds(at, placement.cell_m, radius);
-                let found = closest_in_cells(channel.map, at, channel.values[k], placement.cell_m, clear, reach);
+                let found = closest_in_cells(channel.field, at, channel.values[k], placement.cell_m, clear, reach);
                 *hint = Hint { at, distance: found.map_or(radius, |f| f.1), place: found.map(|f| f.0) };
                 match found {
                     Some((place, distance)) => {
@@ -337,7 +337,7 @@ impl<'a> Iccp<'a> {
             iterations: outcome.iterations,
             track: self.scene.moved(&displacements),
             ..Fix::at_point(
-                self.scene.channels[0].map,
+                self.scene.channels[0].field,
                 self.scene.track.newest(),
                 self.scene.newest_offset(motion.offset_m),
                 status,

@@ -55,7 +55,7 @@ use iccp::Outcome;
 /// # Ok::<(), geomag_core::error::Error>(())
 /// ```
 pub fn match_contour(map: &GridMap, track: &Track, sigma: Option<f64>, options: &ContourOptions) -> Result<Fix> {
-    match_channels(&[Channel { map, values: track.values(), sigma }], track, None, options)
+    match_channels(&[Channel { field: map, values: track.values(), sigma }], track, None, options)
 }
 
 /// ICCP of several fields at once, weighted by their noise, with a weight a sample.
@@ -68,7 +68,7 @@ pub fn match_contour(map: &GridMap, track: &Track, sigma: Option<f64>, options: 
 /// As [`match_contour`]; besides, channels and weights that do not fit the track, and several channels of which one has
 /// no sigma.
 pub fn match_channels(
-    channels: &[Channel<'_>],
+    channels: &[Channel<'_, GridMap>],
     track: &Track,
     weights: Option<&[f64]>,
     options: &ContourOptions,
@@ -81,7 +81,7 @@ pub fn match_channels(
 /// # Errors
 /// As [`match_channels`], and [`Error::Interrupted`](crate::error::Error::Interrupted).
 pub fn match_channels_monitored(
-    channels: &[Channel<'_>],
+    channels: &[Channel<'_, GridMap>],
     track: &Track,
     weights: Option<&[f64]>,
     options: &ContourOptions,

@@ -6,28 +6,29 @@ use rayon::prelude::*;
 
 use super::decide;
 use super::lattice::Lattice;
-use super::options::{Channel, PosteriorOptions};
+use super::options::PosteriorOptions;
 use super::problem::{Interruption, Problem};
 use super::streaming::PosteriorMatcher;
 use crate::error::Result;
 use crate::field::Field;
 use crate::fix::Fix;
+use crate::matching::scene::Channel;
 use crate::matching::stream::feed;
 use crate::monitor::{Monitor, Quiet};
 use crate::stack::{Served, read_heights, served};
 use crate::track::Track;
 
 /// Tracks that are matched at once.
-pub(super) const MANY: usize = 64;
+pub(super) const TRACKS_AT_ONCE: usize = 64;
 
 /// A monitor told the same from every place of a computation that cannot say more.
-pub(super) struct At<'a> {
+pub(super) struct StageMonitor<'a> {
     pub monitor: &'a dyn Monitor,
     pub done: usize,
     pub total: usize,
 }
 
-impl Monitor for At<'_> {
+impl Monitor for StageMonitor<'_> {
     fn advance(&self, _: u64, _: u64) -> Result<()> {
         self.monitor.advance(self.done as u64, self.total as u64)
     }
@@ -127,8 +128,8 @@ pub fn match_many(
     monitor: &dyn Monitor,
 ) -> Result<Vec<Fix>> {
     let mut fixes = Vec::with_capacity(tracks.len());
-    for batch in tracks.chunks(MANY) {
-        let here = At { monitor, done: fixes.len(), total: tracks.len() };
+    for batch in tracks.chunks(TRACKS_AT_ONCE) {
+        let here = StageMonitor { monitor, done: fixes.len(), total: tracks.len() };
         let one = |track: &Track| {
             match_interruptible(&[Channel { field, values: track.values(), sigma }], track, options, &here)
         };
@@ -152,8 +153,8 @@ pub fn stream_many(
     monitor: &dyn Monitor,
 ) -> Result<Vec<Fix>> {
     let mut fixes = Vec::with_capacity(tracks.len());
-    for batch in tracks.chunks(MANY) {
-        let here = At { monitor, done: fixes.len(), total: tracks.len() };
+    for batch in tracks.chunks(TRACKS_AT_ONCE) {
+        let here = StageMonitor { monitor, done: fixes.len(), total: tracks.len() };
         let some: Result<Vec<Fix>> = batch
             .par_iter()
             .map(|track| {

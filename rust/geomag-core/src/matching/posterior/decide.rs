@@ -11,7 +11,7 @@ use crate::track::Track;
 /// Share of the prior's variance above which the field has told nothing.
 const UNINFORMED: f64 = 0.5;
 /// Probability of a candidate that changes no risk.
-const NOTHING: f64 = 1e-12;
+const NEGLIGIBLE: f64 = 1e-12;
 
 fn square(x: f64, y: f64) -> f64 {
     x * x + y * y
@@ -46,7 +46,7 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     }
     let (mut inside, mut mean, mut second) = (0.0, [0.0; 2], [0.0; 3]);
     for (i, o) in posterior.offsets.iter().enumerate() {
-        if p[i] < NOTHING {
+        if p[i] < NEGLIGIBLE {
             continue;
         }
         let [east, north] = metres(*o);

@@ -8,7 +8,7 @@ use super::noise::{LEVELS, Noise};
 use super::problem::{Prepared, Problem, Scope};
 
 /// Logarithm of a share that changes no sum.
-pub(super) const NOTHING: f64 = -36.0;
+pub(super) const NEGLIGIBLE_LOG: f64 = -36.0;
 
 /// Discrete posterior over offsets.
 #[derive(Debug, Clone)]
@@ -26,7 +26,7 @@ pub(super) struct Posterior {
 }
 
 /// What a channel's errors amount to over the candidates.
-pub(super) struct Law {
+pub(super) struct Tempering {
     /// Mean distance to the data, metres.
     pub distance: f64,
     /// Whether any candidate lies on the map.
@@ -59,7 +59,7 @@ impl Problem<'_> {
     }
 
     /// Tempers of a channel's levels, from the means over the candidates that lie on the map.
-    pub fn law(&self, channel: &Prepared, blocks: &[Scores], levels: Range<usize>) -> Law {
+    pub fn tempering(&self, channel: &Prepared, blocks: &[Scores], levels: Range<usize>) -> Tempering {
         let noise = &channel.noise;
         let (mut distance, mut map_variance, mut between, mut count) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
         for b in blocks {
@@ -75,11 +75,12 @@ impl Problem<'_> {
         distance /= count.max(1.0);
         map_variance /= count.max(1.0);
         between /= count.max(1.0);
-        let mut law = Law { distance, known: count > 0.0, temper: [1.0; LEVELS], share: [0.0; LEVELS] };
+        let mut tempering = Tempering { distance, known: count > 0.0, temper: [1.0; LEVELS], share: [0.0; LEVELS] };
         for (v, level) in noise.levels.iter().enumerate() {
-            (law.share[v], law.temper[v]) = channel.temper(level, distance, [map_variance, between], self.spacing_m);
+            (tempering.share[v], tempering.temper[v]) =
+                channel.temper(level, distance, [map_variance, between], self.spacing_m);
         }
-        law
+        tempering
     }
 
     /// Adds one channel's log posterior density: error levels weighed by their evidence, each tempered by the
@@ -93,8 +94,8 @@ impl Problem<'_> {
         blur2: &mut [f64],
     ) {
         let noise = &channel.noise;
-        let law = self.law(channel, blocks, levels.clone());
-        if !law.known {
+        let tempering = self.tempering(channel, blocks, levels.clone());
+        if !tempering.known {
             log_p.fill(f64::NEG_INFINITY);
             return;
         }
@@ -113,7 +114,7 @@ impl Problem<'_> {
             for b in blocks {
                 for log in b.log_likelihood[v] {
                     let below = temper * (log - best[v]);
-                    if below > NOTHING {
+                    if below > NEGLIGIBLE_LOG {
                         sum += below.exp();
                     }
                 }
@@ -121,17 +122,17 @@ impl Problem<'_> {
             known[v] = (temper, temper * best[v] + sum.ln());
             known[v].1
         };
-        let weights = law.weights(noise, levels.clone(), &mut log_sum);
+        let weights = tempering.weights(noise, levels.clone(), &mut log_sum);
         let mut normalise = [0.0; LEVELS];
         for v in levels.clone() {
-            normalise[v] = log_sum(v, law.temper[v]);
+            normalise[v] = log_sum(v, tempering.temper[v]);
         }
         for i in 0..log_p.len() {
             let (block, l) = (&blocks[i / LANES], i % LANES);
             let mut logs = [f64::NEG_INFINITY; LEVELS];
             let mut top = f64::NEG_INFINITY;
             for v in levels.clone() {
-                logs[v] = weights[v] + law.temper[v] * block.log_likelihood[v][l] - normalise[v];
+                logs[v] = weights[v] + tempering.temper[v] * block.log_likelihood[v][l] - normalise[v];
                 top = top.max(logs[v]);
             }
             if !top.is_finite() {
@@ -140,11 +141,11 @@ impl Problem<'_> {
             }
             let (mut total, mut blurred) = (0.0, 0.0);
             for v in levels.clone() {
-                if logs[v] - top > NOTHING {
+                if logs[v] - top > NEGLIGIBLE_LOG {
                     let p = (logs[v] - top).exp();
                     let displaced = noise.displacement(f64::from(block.distance[l]), &noise.levels[v]);
                     total += p;
-                    blurred += p * law.share[v] * displaced * displaced;
+                    blurred += p * tempering.share[v] * displaced * displaced;
                 }
             }
             log_p[i] += top + total.ln();
@@ -173,7 +174,7 @@ impl Posterior {
     }
 }
 
-impl Law {
+impl Tempering {
     /// Logarithms of the levels' weights, the largest 0: evidence of each level against its neighbour, both at the smaller
     /// of their tempers, so that a hypothesis is not favoured for the logarithm of its units.
     pub fn weights(

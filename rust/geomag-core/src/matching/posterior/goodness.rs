@@ -4,7 +4,7 @@ use super::kernel::Detail;
 use crate::statistics::{binomial_tail, normal_tail};
 
 /// Share of misses that any track may have: tails make them harmless, and a sensor that throws one reading in twenty is common.
-const MISSES: f64 = 0.1;
+const WILD_SHARE: f64 = 0.1;
 
 /// p-value of residuals under one error level with tails `nu`, of which a share `temper` counts as independent (misses all do: a wild
 /// reading is the sensor's own, and for a bad stretch of the map there are the other levels).
@@ -16,7 +16,7 @@ pub(super) fn p_value(detail: &Detail, nu: f64, temper: f64) -> f64 {
     let kept = (detail.known - detail.misses) as f64 * temper;
     let deviation = (2.0 * nu / ((nu + 3.0) * kept.max(1.0))).sqrt();
     let many = normal_tail((detail.misfit - 1.0) / deviation);
-    let wild = binomial_tail(detail.misses, detail.known, MISSES);
+    let wild = binomial_tail(detail.misses, detail.known, WILD_SHARE);
     (2.0 * many.min(wild)).min(1.0)
 }
 

@@ -48,11 +48,11 @@ impl Lattice {
         (-rows..=rows).flat_map(|j| (-columns..=columns).map(move |i| self.offset([i, j]))).collect()
     }
 
-    pub fn offset(&self, node: [i64; 2]) -> [f64; 2] {
-        [0, 1].map(|d| node[d] as f64 * self.step[d])
+    pub fn offset(&self, index: [i64; 2]) -> [f64; 2] {
+        [0, 1].map(|d| index[d] as f64 * self.step[d])
     }
 
-    pub fn node(&self, offset: [f64; 2]) -> [i64; 2] {
+    pub fn index(&self, offset: [f64; 2]) -> [i64; 2] {
         [0, 1].map(|d| (offset[d] / self.step[d]).round() as i64)
     }
 

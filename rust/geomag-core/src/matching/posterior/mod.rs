@@ -1,6 +1,6 @@
 //! Calibrated matching: the posterior over the offset, and fixes with a declared risk.
 //!
-//! For every candidate offset o the residuals e_k = v_k - map(p_k + o) are judged by a Student-t law whose variance is
+//! For every candidate offset o the residuals e_k = v_k - map(p_k + o) are judged by a Student-t distribution whose variance is
 //! that of the sensor, of the map at that place, and of the lattice's own coarseness,
 //!
 //! ```text
@@ -48,7 +48,8 @@ mod tests;
 #[cfg(test)]
 mod tests_declared;
 
+pub use crate::matching::scene::Channel;
 pub use batch::{match_channels, match_interruptible, match_many, match_posterior, stream_many, work};
-pub use options::{Channel, PosteriorOptions};
+pub use options::PosteriorOptions;
 pub use predict::{Prediction, predict, predict_many};
 pub use streaming::{PosteriorMatcher, PosteriorStep};

@@ -1,19 +1,20 @@
 //! What the map's error may be like: the levels of its size, its tails, the surface between the nodes, its correlation.
 
-use super::options::{Channel, PosteriorOptions};
+use super::options::PosteriorOptions;
 use super::patch::DEFAULT_DISTANCE_CELLS;
 use crate::bounds::require_spread;
 use crate::error::Result;
 use crate::field::Field;
 use crate::grid::{GridMap, Interpolation, MapSigma};
 use crate::map_error::{Forecast, Lapses, Recalibration};
+use crate::matching::scene::Channel;
 
 /// Tails of the map's error at one sample where no error model says otherwise.
 const DEFAULT_NU: f64 = 3.0;
 /// Tails of the sensor's own error where it has any: nearly normal, for one that is noisier than stated.
 const SENSOR_NU: f64 = 10.0;
-/// Tails of a sensor without any, and the prior probability that a track's is such: the normal law is worth some percent of
-/// all fixes. More degrees of freedom are the normal law too, and beyond single precision.
+/// Tails of a sensor without any, and the prior probability that a track's is such: the normal distribution is worth some percent of
+/// all fixes. More degrees of freedom are normal too, and beyond single precision.
 const NORMAL_NU: f64 = 1000.0;
 const NORMAL: f64 = 0.97;
 /// Fewest degrees of freedom: heavier tails than these tell nothing of a place.
@@ -80,7 +81,7 @@ impl Interpolant {
 
 /// One hypothesis on the error of the map along a track.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Level {
+pub(super) struct ErrorLevel {
     /// Factor on the map's sigma.
     pub factor: f64,
     /// Degrees of freedom.
@@ -95,7 +96,7 @@ pub(super) struct Level {
     pub log_prior: f64,
 }
 
-impl Level {
+impl ErrorLevel {
     /// Whether another level differs in its tails only.
     pub fn same_surface(&self, other: &Self) -> bool {
         (self.factor, self.surface, self.between) == (other.factor, other.surface, other.between)
@@ -108,7 +109,7 @@ impl Level {
 pub(super) struct Noise {
     pub sensor_variance: f64,
     /// What the map's error may be.
-    pub levels: Vec<Level>,
+    pub levels: Vec<ErrorLevel>,
     /// Whether the first level's bound, with what the map may do between its nodes in its reach, stands for all of them at the
     /// first stage of a search.
     pub covered: bool,
@@ -150,7 +151,7 @@ impl Noise {
             Interpolation::Bilinear => (Interpolant::Bilinear, Interpolant::Bicubic),
             Interpolation::Bicubic => (Interpolant::Bicubic, Interpolant::Bilinear),
         };
-        let of_factor = |&(factor, log_prior): &(f64, f64)| Level {
+        let of_factor = |&(factor, log_prior): &(f64, f64)| ErrorLevel {
             factor,
             nu: if factor == 0.0 { sensor_nu } else { map_nu },
             most_loss: f64::INFINITY,
@@ -164,9 +165,9 @@ impl Noise {
             },
             log_prior,
         };
-        let mut levels: Vec<Level> = if exact {
+        let mut levels: Vec<ErrorLevel> = if exact {
             let most_loss = if named.is_none() { MOST_LOSS } else { f64::INFINITY };
-            let level = |nu: f64, surface: Interpolant, between: f64, prior: f64| Level {
+            let level = |nu: f64, surface: Interpolant, between: f64, prior: f64| ErrorLevel {
                 factor: 0.0,
                 nu: named.unwrap_or(nu),
                 most_loss,
@@ -279,20 +280,20 @@ impl Noise {
 
     /// The levels over which residuals are checked: every way that the field may run between exact nodes; those of a spread to its far tail;
     /// else the worst, of which a track may be without being unlikely.
-    pub fn checked(&self) -> Vec<Level> {
+    pub fn checked(&self) -> Vec<ErrorLevel> {
         if self.covered {
             return self.levels.clone();
         }
         if self.spread == 0.0 {
-            let size = |l: &Level| (l.factor, l.between);
+            let size = |l: &ErrorLevel| (l.factor, l.between);
             let worst =
                 self.levels.iter().copied().fold(self.levels[0], |a, b| if size(&b) > size(&a) { b } else { a });
-            return vec![Level { log_prior: 0.0, ..worst }];
+            return vec![ErrorLevel { log_prior: 0.0, ..worst }];
         }
         let typical = self.levels[self.typical];
         let z = (-2 * CHECKED..=2 * CHECKED).map(|i| 0.5 * f64::from(i));
         let total = z.clone().map(|z| (-0.5 * z * z).exp()).sum::<f64>().ln();
-        z.map(|z| Level {
+        z.map(|z| ErrorLevel {
             factor: (CHECKED_SPREAD * self.spread * z).exp(),
             log_prior: -0.5 * z * z - total,
             ..typical
@@ -301,7 +302,7 @@ impl Noise {
     }
 
     /// Displacement of features common to a whole track, per axis, metres.
-    pub fn displacement(&self, distance: f64, level: &Level) -> f64 {
+    pub fn displacement(&self, distance: f64, level: &ErrorLevel) -> f64 {
         self.registration * distance * if self.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
     }
 }

@@ -2,29 +2,29 @@
 
 use super::options::PosteriorOptions;
 
-/// Standard deviations of the prior that the nodes cover.
+/// Standard deviations of the prior that the components cover.
 const REACH: f64 = 4.0;
-/// Distance between nodes in standard deviations about a node and of the nodes; the sum is then right to 1.4 %: the
+/// Distance between components in standard deviations about a component and of the components; the sum is then right to 1.4 %: the
 /// ripple is 2 exp(-2 pi^2 / spacing^2).
 const SPACING: f64 = 2.0;
 /// Share of the prior's standard deviation from which it is not worth dividing.
 const WHOLE: f64 = 0.8;
-/// Most nodes; where more would be needed, each is wider.
-const NODES: f64 = 150.0;
+/// Most components; where more would be needed, each is wider.
+const MOST_COMPONENTS: f64 = 150.0;
 
 /// What is common to all samples of a track and is not the offset: heading, scale and drift.
 ///
 /// The kernel takes them as linear in the map's gradient, which holds for small displacements only. A parameter that may move the
-/// far end of the track by more is laid out as a sum of narrow normal laws, one a node (Alspach and Sorenson, IEEE Trans.
-/// Autom. Control 17 (1972) 439): the track is turned, stretched and shifted to the node exactly, and what is left of the prior
+/// far end of the track by more is laid out as a sum of narrow normal densities, one a component (Alspach and Sorenson, IEEE Trans.
+/// Autom. Control 17 (1972) 439): the track is turned, stretched and shifted to the component exactly, and what is left of the prior
 /// around it is linear.
 #[derive(Debug, Clone)]
 pub(super) struct Nuisance {
-    /// What each parameter does to every sample per standard deviation about its node.
+    /// What each parameter does to every sample per standard deviation about its component.
     pub shapes: Vec<Shape>,
-    /// Standard deviations about a node over those of the prior.
+    /// Standard deviations about a component over those of the prior.
     pub narrowed: Vec<f64>,
-    pub nodes: Vec<Node>,
+    pub components: Vec<Component>,
     parameters: Vec<Parameter>,
 }
 
@@ -62,7 +62,7 @@ const TURN_DEG: f64 = 20.0;
 /// Most legs with a bias of their own; what follows them shares that of the last.
 pub(super) const LEGS: usize = 6;
 
-/// The prior of a height as a sum of narrow normal laws: their means and what they weigh, in standard deviations of the prior, the
+/// The prior of a height as a sum of narrow normal densities: their means and what they weigh, in standard deviations of the prior, the
 /// likeliest first; and their own standard deviation.
 pub(super) const HEIGHTS: [f64; 5] = [0.0, 0.8, -0.8, 1.6, -1.6];
 pub(super) const HEIGHT_NARROWED: f64 = 0.5;
@@ -118,7 +118,7 @@ const WALK_WAVES: usize = 2;
 
 /// A place in the space of the parameters.
 #[derive(Debug, Clone)]
-pub(super) struct Node {
+pub(super) struct Component {
     /// The parameters there, in prior standard deviations.
     pub at: Vec<f64>,
     /// By how much each sample is moved, metres `[east, north]`; empty where by nothing.
@@ -149,7 +149,7 @@ enum Kind {
 }
 
 impl Nuisance {
-    /// The parameters with a prior above zero, on one node. `away_m` is the displacement of every sample from the newest,
+    /// The parameters with a prior above zero, on one component. `away_m` is the displacement of every sample from the newest,
     /// metres; `age` runs from 1 (first) to 0 (newest).
     pub fn new(options: &PosteriorOptions, away_m: &[[f64; 2]], age: &[f64]) -> Self {
         let mut parameters: Vec<Parameter> = [
@@ -185,8 +185,8 @@ impl Nuisance {
             shapes.extend(walk_shapes(age, options.bias_walk));
         }
         parameters.resize(shapes.len(), Parameter { kind: Kind::Reading, sigma: 1.0 });
-        let node = Node { at: vec![0.0; parameters.len()], moved_m: Vec::new(), height: 0, log_weight: 0.0 };
-        Self { narrowed: vec![1.0; shapes.len()], shapes, nodes: vec![node], parameters }
+        let component = Component { at: vec![0.0; parameters.len()], moved_m: Vec::new(), height: 0, log_weight: 0.0 };
+        Self { narrowed: vec![1.0; shapes.len()], shapes, components: vec![component], parameters }
     }
 
     /// Greatest displacement of any sample per prior standard deviation of each parameter, metres.
@@ -194,73 +194,73 @@ impl Nuisance {
         self.shapes.iter().map(Shape::lever_m).collect()
     }
 
-    /// Divides the prior so that about each node no parameter moves a sample by more than `linear_m` in a standard deviation.
+    /// Divides the prior so that about each component no parameter moves a sample by more than `linear_m` in a standard deviation.
     #[must_use]
     pub fn divided(mut self, linear_m: f64, away_m: &[[f64; 2]], age: &[f64]) -> Self {
         let levers = self.levers_m();
         let mut linear_m = linear_m;
         let count = |linear_m: f64| levers.iter().map(|lever| NormalSum::count(linear_m / lever)).product::<f64>();
-        while count(linear_m) > NODES {
+        while count(linear_m) > MOST_COMPONENTS {
             linear_m *= 1.2;
         }
-        let laws: Vec<NormalSum> = levers.iter().map(|lever| NormalSum::new(linear_m / lever)).collect();
-        self.narrowed = laws.iter().map(|law| law.narrowed).collect();
+        let sums: Vec<NormalSum> = levers.iter().map(|lever| NormalSum::new(linear_m / lever)).collect();
+        self.narrowed = sums.iter().map(|sum| sum.narrowed).collect();
         for (shape, narrowed) in self.shapes.iter_mut().zip(&self.narrowed) {
             shape.times(*narrowed as f32);
         }
-        let mut nodes = self.nodes;
-        for (i, law) in laws.iter().enumerate() {
-            nodes = nodes
+        let mut components = self.components;
+        for (i, sum) in sums.iter().enumerate() {
+            components = components
                 .iter()
-                .flat_map(|node| {
-                    law.nodes.iter().map(move |&(at, log_weight)| {
-                        let mut node = node.clone();
-                        node.at[i] = at;
-                        node.log_weight += log_weight;
-                        node
+                .flat_map(|component| {
+                    sum.components.iter().map(move |&(at, log_weight)| {
+                        let mut component = component.clone();
+                        component.at[i] = at;
+                        component.log_weight += log_weight;
+                        component
                     })
                 })
                 .collect();
         }
-        for node in &mut nodes {
-            if node.at.iter().any(|at| *at != 0.0) {
-                node.moved_m = moved(&self.parameters, &node.at, away_m, age);
+        for component in &mut components {
+            if component.at.iter().any(|at| *at != 0.0) {
+                component.moved_m = moved(&self.parameters, &component.at, away_m, age);
             }
         }
         // The likeliest first.
-        nodes.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
-        self.nodes = nodes;
+        components.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
+        self.components = components;
         self
     }
 
-    /// Every node at every height, about which the map is linear in the height.
+    /// Every component at every height, about which the map is linear in the height.
     #[must_use]
     pub fn at_heights(mut self) -> Self {
         let log = |z: f64| -0.5 * z * z / (1.0 - HEIGHT_NARROWED * HEIGHT_NARROWED);
         let total = HEIGHTS.iter().map(|z| log(*z).exp()).sum::<f64>().ln();
-        let at_height = |node: &Node, (height, z): (usize, &f64)| Node {
+        let at_height = |component: &Component, (height, z): (usize, &f64)| Component {
             height,
-            log_weight: node.log_weight + log(*z) - total,
-            ..node.clone()
+            log_weight: component.log_weight + log(*z) - total,
+            ..component.clone()
         };
-        self.nodes = (self.nodes.iter())
-            .flat_map(|node| HEIGHTS.iter().enumerate().map(move |height| at_height(node, height)))
+        self.components = (self.components.iter())
+            .flat_map(|component| HEIGHTS.iter().enumerate().map(move |height| at_height(component, height)))
             .collect();
-        self.nodes.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
+        self.components.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
         self.shapes.push(Shape::Lifted);
         self.narrowed.push(HEIGHT_NARROWED);
         self.parameters.push(Parameter { kind: Kind::Reading, sigma: 1.0 });
-        for node in &mut self.nodes {
-            node.at.push(0.0);
+        for component in &mut self.components {
+            component.at.push(0.0);
         }
         self
     }
 
-    /// Heading in degrees and scale of parameters in standard deviations about a node.
-    pub fn heading_and_scale(&self, node: &Node, about: &[f64]) -> (f64, f64) {
+    /// Heading in degrees and scale of parameters in standard deviations about a component.
+    pub fn heading_and_scale(&self, component: &Component, about: &[f64]) -> (f64, f64) {
         let (mut heading, mut scale) = (0.0, 1.0);
         for (i, p) in self.parameters.iter().enumerate() {
-            let value = p.sigma * (node.at[i] + self.narrowed[i] * about[i]);
+            let value = p.sigma * (component.at[i] + self.narrowed[i] * about[i]);
             match p.kind {
                 Kind::Heading => heading += value.to_degrees(),
                 Kind::Scale => scale += value,
@@ -271,7 +271,7 @@ impl Nuisance {
     }
 }
 
-/// Bound of the displacement of any sample at any node, metres, on a track that reaches `lever_m` from its newest sample.
+/// Bound of the displacement of any sample at any component, metres, on a track that reaches `lever_m` from its newest sample.
 pub(super) fn reach_m(options: &PosteriorOptions, lever_m: f64) -> f64 {
     let turned = lever_m * options.heading_sigma_deg.to_radians().hypot(options.scale_sigma);
     REACH * turned.hypot(std::f64::consts::SQRT_2 * options.drift_sigma_m)
@@ -299,16 +299,16 @@ fn moved(parameters: &[Parameter], at: &[f64], away_m: &[[f64; 2]], age: &[f64])
         .collect()
 }
 
-/// The standard normal law as a sum of narrower ones.
+/// The standard normal sum as a sum of narrower ones.
 struct NormalSum {
     /// Their standard deviation.
     narrowed: f64,
     /// Their means, and the logarithms of their weights.
-    nodes: Vec<(f64, f64)>,
+    components: Vec<(f64, f64)>,
 }
 
 impl NormalSum {
-    /// Distance between the nodes, and how many there are on either side of the middle.
+    /// Distance between the components, and how many there are on either side of the middle.
     fn layout(narrowed: f64) -> (f64, f64) {
         if narrowed >= WHOLE {
             return (0.0, 0.0);
@@ -319,22 +319,22 @@ impl NormalSum {
         (spacing, (REACH * between / spacing).ceil())
     }
 
-    /// Number of nodes.
+    /// Number of components.
     fn count(narrowed: f64) -> f64 {
         2.0 * Self::layout(narrowed).1 + 1.0
     }
 
-    /// Of laws of about this standard deviation, the whole where that is not much less than 1.
+    /// Of sums of about this standard deviation, the whole where that is not much less than 1.
     fn new(narrowed: f64) -> Self {
         let (spacing, most) = Self::layout(narrowed);
         if most == 0.0 {
-            return Self { narrowed: 1.0, nodes: vec![(0.0, 0.0)] };
+            return Self { narrowed: 1.0, components: vec![(0.0, 0.0)] };
         }
         let between = 1.0 - narrowed * narrowed;
         let log = |at: f64| -0.5 * at * at / between;
         let places: Vec<f64> = (0..=2 * most as i64).map(|i| (i as f64 - most) * spacing).collect();
         let total = places.iter().map(|at| log(*at).exp()).sum::<f64>().ln();
-        Self { narrowed, nodes: places.into_iter().map(|at| (at, log(at) - total)).collect() }
+        Self { narrowed, components: places.into_iter().map(|at| (at, log(at) - total)).collect() }
     }
 }
 
@@ -343,17 +343,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn narrow_laws_add_up_to_the_normal_law() {
+    fn narrow_components_add_up_to_the_prior() {
         for narrowed in [0.7, 0.4, 0.15, 0.05] {
             let sum = NormalSum::new(narrowed);
             let normal = |x: f64, s: f64| (-0.5 * (x / s).powi(2)).exp() / (s * std::f64::consts::TAU.sqrt());
             for x in [0.0, 0.1, 0.37, 1.0, 1.9, 2.7] {
-                let density: f64 = sum.nodes.iter().map(|(at, w)| w.exp() * normal(x - at, sum.narrowed)).sum();
+                let density: f64 = sum.components.iter().map(|(at, w)| w.exp() * normal(x - at, sum.narrowed)).sum();
                 let expected = normal(x, 1.0);
                 assert!((density - expected).abs() < 0.05 * expected, "{narrowed} at {x}: {density} {expected}");
             }
         }
-        assert_eq!(NormalSum::new(0.9).nodes.len(), 1);
+        assert_eq!(NormalSum::new(0.9).components.len(), 1);
     }
 
     #[test]
@@ -377,7 +377,7 @@ mod tests {
         options.scale_sigma = 1e9;
         let (away, age) = ([[-5e3, 2e3], [0.0, 0.0]], [1.0, 0.0]);
         let divided = Nuisance::new(&options, &away, &age).divided(10.0, &away, &age);
-        assert!(divided.nodes.len() as f64 <= NODES);
+        assert!(divided.components.len() as f64 <= MOST_COMPONENTS);
         assert!(divided.levers_m().iter().all(|v| v.is_finite()));
     }
 
@@ -395,23 +395,23 @@ mod tests {
             Shape::Added(_) | Shape::Lifted => 0.0,
         };
         let divided = whole.clone().divided(20.0, &away, &age);
-        assert!(divided.nodes.len() > 20 && divided.nodes.len() as f64 <= NODES);
-        for node in &divided.nodes {
+        assert!(divided.components.len() > 20 && divided.components.len() as f64 <= MOST_COMPONENTS);
+        for component in &divided.components {
             // What the linear shapes leave out: the square of the angle, and the angle times the stretch.
-            let (angle, stretch) = (node.at[0] * 1.0_f64.to_radians(), node.at[1] * 0.01);
+            let (angle, stretch) = (component.at[0] * 1.0_f64.to_radians(), component.at[1] * 0.01);
             for k in 0..10 {
-                let linear: Vec<f64> = (0..2).map(|d| (0..4).map(|i| node.at[i] * shape(i, k, d)).sum()).collect();
-                let moved = node.moved_m.get(k).copied().unwrap_or([0.0; 2]);
+                let linear: Vec<f64> = (0..2).map(|d| (0..4).map(|i| component.at[i] * shape(i, k, d)).sum()).collect();
+                let moved = component.moved_m.get(k).copied().unwrap_or([0.0; 2]);
                 for d in 0..2 {
                     let rest = away[k][0].hypot(away[k][1]) * (0.5 * angle * angle + (angle * stretch).abs());
-                    assert!((moved[d] - linear[d]).abs() <= 1.1 * rest + 1e-3, "{node:?} {k} {linear:?}");
+                    assert!((moved[d] - linear[d]).abs() <= 1.1 * rest + 1e-3, "{component:?} {k} {linear:?}");
                 }
             }
         }
-        let total: f64 = divided.nodes.iter().map(|n| n.log_weight.exp()).sum();
+        let total: f64 = divided.components.iter().map(|n| n.log_weight.exp()).sum();
         assert!((total - 1.0).abs() < 1e-9);
-        let node = divided.nodes.iter().find(|n| n.at[0] != 0.0 && n.at[1] == 0.0).unwrap();
-        let (heading, scale) = divided.heading_and_scale(node, &[0.0; 4]);
-        assert!((heading - node.at[0]).abs() < 1e-12 && scale == 1.0);
+        let component = divided.components.iter().find(|n| n.at[0] != 0.0 && n.at[1] == 0.0).unwrap();
+        let (heading, scale) = divided.heading_and_scale(component, &[0.0; 4]);
+        assert!((heading - component.at[0]).abs() < 1e-12 && scale == 1.0);
     }
 }

@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::bounds::{MOST_VALUE, require_distance_m, require_resolved, require_spread};
 use crate::error::{Error, Result, require_not_negative, require_positive};
-use crate::field::Field;
 use crate::grid::Interpolation;
 
 /// Largest limit of a lattice.
@@ -157,15 +156,4 @@ impl PosteriorOptions {
         }
         Ok(())
     }
-}
-
-/// One field that was measured along the track, with its map.
-#[derive(Debug, Clone, Copy)]
-pub struct Channel<'a> {
-    /// The map.
-    pub field: &'a dyn Field,
-    /// Measured values, one a sample of the track, value units.
-    pub values: &'a [f64],
-    /// Standard deviation of the sensor, value units; `None` where unknown.
-    pub sigma: Option<f64>,
 }

@@ -5,11 +5,12 @@ use rand_distr::StandardNormal;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
-use super::batch::{At, MANY, match_interruptible};
-use super::options::{Channel, PosteriorOptions};
+use super::batch::{StageMonitor, TRACKS_AT_ONCE, match_interruptible};
+use super::options::PosteriorOptions;
 use super::problem::Problem;
 use crate::error::{Error, Result};
 use crate::field::Field;
+use crate::matching::scene::Channel;
 use crate::monitor::{Monitor, Quiet};
 use crate::stack::served;
 use crate::track::Track;
@@ -143,8 +144,8 @@ pub fn predict_many(
     monitor: &dyn Monitor,
 ) -> Result<Vec<Option<Prediction>>> {
     let mut out = Vec::with_capacity(tracks.len());
-    for batch in tracks.chunks(MANY) {
-        let here = At { monitor, done: out.len(), total: tracks.len() };
+    for batch in tracks.chunks(TRACKS_AT_ONCE) {
+        let here = StageMonitor { monitor, done: out.len(), total: tracks.len() };
         let first = out.len() as u64;
         let some: Result<Vec<_>> = batch
             .par_iter()

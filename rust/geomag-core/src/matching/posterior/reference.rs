@@ -2,7 +2,7 @@
 
 use super::kernel::LANES;
 use super::lattice::children;
-use super::noise::{LEVELS, Level};
+use super::noise::{ErrorLevel, LEVELS};
 use super::problem::{Likelihoods, Problem};
 
 /// Cells from which the reference place is sought.
@@ -42,7 +42,7 @@ impl Problem<'_> {
                         .map(|(c, scored)| {
                             let of = |v: usize| scored.blocks[i / LANES].log_likelihood[v][i % LANES];
                             // Which surface the field follows is for the samples to say.
-                            let any = |levels: &[Level]| {
+                            let any = |levels: &[ErrorLevel]| {
                                 let with_prior = levels.iter().enumerate().map(|(v, l)| of(v) + l.log_prior);
                                 with_prior.fold(f64::NEG_INFINITY, f64::max)
                             };
@@ -107,7 +107,7 @@ impl Problem<'_> {
         let prior = [0, 1].map(|d| 3.0 / (self.options.half_width[d] * self.scale_m[d]).powi(2));
         for (channel, (scored, log)) in self.channels.iter().zip(densities.iter().zip(&log_likelihood)) {
             let levels = &channel.noise.levels;
-            let law = self.law(channel, &scored.blocks, 0..levels.len());
+            let tempering = self.tempering(channel, &scored.blocks, 0..levels.len());
             let information = self.information(channel, offset, step);
             let area = |v: usize, temper: f64| {
                 let [ee, en, nn] = information[v].map(|i| temper * i);
@@ -115,13 +115,14 @@ impl Problem<'_> {
                     - 0.5 * ((ee + prior[0]) * (nn + prior[1]) - en * en).max(f64::MIN_POSITIVE).ln()
             };
             let evidence = |v: usize, temper: f64| temper * log[v] + area(v, temper);
-            let weights = law.weights(&channel.noise, 0..levels.len(), evidence);
-            areas.push(std::array::from_fn(|v| if v < levels.len() { area(v, law.temper[v]) } else { 0.0 }));
+            let weights = tempering.weights(&channel.noise, 0..levels.len(), evidence);
+            areas.push(std::array::from_fn(|v| if v < levels.len() { area(v, tempering.temper[v]) } else { 0.0 }));
             let top = (0..levels.len()).fold(0, |a, b| if weights[b] > weights[a] { b } else { a });
             for (sum, i) in total.iter_mut().zip(information[top]) {
-                *sum += law.temper[top] * i;
+                *sum += tempering.temper[top] * i;
             }
-            blurred = blurred.max(channel.noise.displacement(law.distance, &levels[top]) * law.share[top].sqrt());
+            blurred =
+                blurred.max(channel.noise.displacement(tempering.distance, &levels[top]) * tempering.share[top].sqrt());
             all.push(weights);
         }
         let [ee, en, nn] = [total[0] + prior[0], total[1], total[2] + prior[1]];

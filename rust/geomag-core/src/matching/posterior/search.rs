@@ -1,6 +1,6 @@
 //! The search in stages: from a coarse lattice to the places that matter.
 
-use super::density::{NOTHING, Posterior};
+use super::density::{NEGLIGIBLE_LOG, Posterior};
 use super::kernel::LANES;
 use super::lattice::{Lattice, children, lattice_variance, select};
 use super::noise::LEVELS;
@@ -24,7 +24,7 @@ const RIVAL: f64 = 6.0;
 /// Cells that are left from which a posterior may be wider than the tolerance.
 const BROAD: usize = 100;
 /// Cells above which a posterior is not refined any further for a rival's sake.
-const MANY: usize = 400;
+const MOST_FOR_RIVAL: usize = 400;
 /// Logarithm of the weight below which an error level is left out, and what the first estimate of it may be wrong by.
 const LEVEL_FLOOR: f64 = -9.0;
 const LEVEL_SLACK: f64 = 5.0;
@@ -139,7 +139,7 @@ impl Problem<'_> {
         while let Some(coarse) = self.too_coarse(&posterior) {
             let kept = posterior.survivors(PRUNE, SURVIVORS + 1);
             // A rival that is narrower than a broad answer is not worth a fine lattice over all of that.
-            if kept.is_empty() || kept.len() > SURVIVORS || coarse == Coarse::Rival && kept.len() > MANY {
+            if kept.is_empty() || kept.len() > SURVIVORS || coarse == Coarse::Rival && kept.len() > MOST_FOR_RIVAL {
                 break;
             }
             let finer = posterior.step.map(|s| 0.5 * s);
@@ -168,7 +168,7 @@ impl Problem<'_> {
             .offsets
             .iter()
             .zip(&posterior.log_p)
-            .filter(|(o, lp)| **lp > NOTHING && near(o))
+            .filter(|(o, lp)| **lp > NEGLIGIBLE_LOG && near(o))
             .map(|(_, lp)| lp.exp())
             .sum()
     }
@@ -187,7 +187,7 @@ impl Problem<'_> {
         for (c, (channel, scored)) in self.channels.iter().zip(bounds).enumerate() {
             let cover = scopes[c].cover;
             let levels = if cover { 0..channel.noise.levels.len() } else { scopes[c].levels.clone() };
-            let law = self.law(channel, &scored.blocks, scopes[c].levels.clone());
+            let tempering = self.tempering(channel, &scored.blocks, scopes[c].levels.clone());
             let best = &reference.log_likelihood[c];
             let share =
                 |v: usize| (reference.weights[c][v] + LEVEL_SLACK).min(0.0) - (reference.areas[c][v] - cell).max(0.0);
@@ -196,14 +196,14 @@ impl Problem<'_> {
                 let scores = &scored.blocks[i / LANES].log_likelihood;
                 *sum += levels
                     .clone()
-                    .map(|v| shares[v] + law.temper[v] * (scores[if cover { 0 } else { v }][i % LANES] - best[v]))
+                    .map(|v| shares[v] + tempering.temper[v] * (scores[if cover { 0 } else { v }][i % LANES] - best[v]))
                     .fold(f64::NEG_INFINITY, f64::max);
             }
         }
         excess
     }
 
-    /// Leaves out the error levels and the nodes of the nuisance parameters that no longer carry anything.
+    /// Leaves out the error levels and the components of the nuisance parameters that no longer carry anything.
     fn narrow(&self, scopes: &mut [Scope], reference: &Reference, bounds: &Likelihoods, bounded: &[Scope]) {
         for (c, scope) in scopes.iter_mut().enumerate() {
             let weights = &reference.weights[c];
@@ -212,18 +212,18 @@ impl Problem<'_> {
             if let (Some(first), Some(last)) = (levels.clone().find(carries), levels.clone().rev().find(carries)) {
                 scope.levels = first..last + 1;
             }
-            if scope.nodes.len() > 1 {
-                let law = self.law(&self.channels[c], &bounds[c].blocks, bounded[c].levels.clone());
+            if scope.components.len() > 1 {
+                let tempering = self.tempering(&self.channels[c], &bounds[c].blocks, bounded[c].levels.clone());
                 let cover = bounded[c].cover;
                 let within = |best: &[f64; LEVELS]| {
                     let above = |v: usize| best[if cover { 0 } else { v }] - reference.log_likelihood[c][v];
-                    let below = |v: usize| law.temper[v] * above(v) + (weights[v] + LEVEL_SLACK).min(0.0);
+                    let below = |v: usize| tempering.temper[v] * above(v) + (weights[v] + LEVEL_SLACK).min(0.0);
                     levels.clone().any(|v| below(v) > -PRUNE)
                 };
-                let kept: Vec<bool> = bounds[c].best_of_node.iter().map(within).collect();
+                let kept: Vec<bool> = bounds[c].best_of_component.iter().map(within).collect();
                 if kept.contains(&true) {
                     let mut kept = kept.iter();
-                    scope.nodes.retain(|_| *kept.next().unwrap_or(&true));
+                    scope.components.retain(|_| *kept.next().unwrap_or(&true));
                 }
             }
         }

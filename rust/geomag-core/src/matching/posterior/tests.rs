@@ -268,8 +268,8 @@ fn two_channels_are_better_than_one() {
     let options = PosteriorOptions::new([1000.0, 1000.0]);
     let alone = match_posterior(&one, &track, Some(2.0), &options).unwrap();
     let channels = [
-        Channel { field: &one, values: track.values(), sigma: Some(2.0) },
-        Channel { field: &two, values: &second, sigma: Some(2.0) },
+        Channel { field: &one as &dyn Field, values: track.values(), sigma: Some(2.0) },
+        Channel { field: &two as &dyn Field, values: &second, sigma: Some(2.0) },
     ];
     let both = match_channels(&channels, &track, &options).unwrap();
     let size = |c: Option<[[f64; 2]; 2]>| c.map(|c| c[0][0] + c[1][1]).unwrap();

@@ -145,8 +145,8 @@ impl<'a> Refiner<'a> {
                     continue;
                 }
                 let [x, y] = self.scene.track.point(k);
-                let [east, north] = channel.map.metres_per_unit(y);
-                let Some(sigma) = channel.map.known_sigma(x + d[0] / east, y + d[1] / north) else { continue };
+                let [east, north] = channel.field.metres_per_unit(y);
+                let Some(sigma) = channel.field.known_sigma(x + d[0] / east, y + d[1] / north) else { continue };
                 used.push(k);
                 map_sigma.push(sigma);
             }
@@ -314,7 +314,7 @@ impl<'a> Refiner<'a> {
     pub fn run(&self, start: &Motion, noise: &[f64], correlation_m: f64) -> Option<Minimum> {
         let whitening = self.whitening(start, noise, correlation_m)?;
         let found = self.descend(start, &whitening)?;
-        if self.scene.channels.iter().all(|c| matches!(c.map.map_sigma(), None | Some(MapSigma::Constant(_)))) {
+        if self.scene.channels.iter().all(|c| matches!(c.field.map_sigma(), None | Some(MapSigma::Constant(_)))) {
             return Some(found);
         }
         // The map's sigma, and which samples count, belong to the place: once more with those of the place found.

@@ -35,7 +35,7 @@ impl Refiner<'_> {
     }
 
     fn correlation_trials(&self) -> Vec<f64> {
-        let has_sigma = self.scene.channels.iter().any(|c| c.map.map_sigma().is_some());
+        let has_sigma = self.scene.channels.iter().any(|c| c.field.map_sigma().is_some());
         match self.options.map_correlation_m {
             Some(d) => vec![d],
             None if !has_sigma => vec![0.0],

@@ -65,7 +65,7 @@ pub(crate) fn answer(
     let covariance = best.position_covariance();
     let spread = covariance[0][0] + covariance[1][1];
     // What was known before: the prior, or that it lies in what was searched, or on the map (uniform: width^2 / 12).
-    let map = scene.channels[0].map;
+    let map = scene.channels[0].field;
     let [east, north] = crate::matching::closest::cell_size_m(map, scene.track.newest()[1]);
     let on_map = ((east * (map.x().len() - 1) as f64).powi(2) + (north * (map.y().len() - 1) as f64).powi(2)) / 12.0;
     let prior = options.priors.offset_sigma_m.map_or(f64::INFINITY, |s| 2.0 * s * s);
@@ -97,7 +97,12 @@ pub(crate) fn answer(
         n_samples: best.n_residuals / scene.channels.len(),
         iterations: before + best.iterations,
         track: scene.moved(&displacements),
-        ..Fix::at_point(scene.channels[0].map, scene.track.newest(), scene.newest_offset(best.motion.offset_m), status)
+        ..Fix::at_point(
+            scene.channels[0].field,
+            scene.track.newest(),
+            scene.newest_offset(best.motion.offset_m),
+            status,
+        )
     })
 }
 

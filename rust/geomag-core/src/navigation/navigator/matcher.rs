@@ -10,7 +10,7 @@ use super::motion::{POSITION, VELOCITY};
 use super::outcome::Status;
 use super::plan::MatcherPlan;
 use super::state::{Navigator, Newest};
-use super::watch::Sample;
+use super::watch::TimedSample;
 use crate::fix::Fix;
 use crate::matching::posterior::{PosteriorOptions, match_posterior};
 use crate::track::Track;
@@ -66,7 +66,7 @@ impl Navigator {
             return None;
         }
         let mean = self.state.filter.mean();
-        let place = |s: &Sample| {
+        let place = |s: &TimedSample| {
             let age = now.time_s - s.time_s;
             self.corrected(s.x, s.y, [0, 1].map(|axis| mean[POSITION + axis] - mean[VELOCITY + axis] * age))
         };

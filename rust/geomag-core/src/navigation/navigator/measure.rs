@@ -5,7 +5,7 @@ use super::motion::{POSITION, VELOCITY};
 use super::outcome::{Indicated, Outcome};
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION, STATES};
-use super::watch::Sample;
+use super::watch::TimedSample;
 use crate::field::Field;
 use crate::kalman::regression;
 
@@ -56,7 +56,8 @@ impl Navigator {
                     self.state.batch.push(reading, &self.law, place);
                     if let Some(plan) = self.state.options.matcher {
                         let spacing = plan.spacing_m.unwrap_or(self.law.window_spacing_m());
-                        let sample = Sample { time_s: now.time_s, x: now.x, y: now.y, height_m, value: value - own };
+                        let sample =
+                            TimedSample { time_s: now.time_s, x: now.x, y: now.y, height_m, value: value - own };
                         self.state.watch.keep(sample, spacing, plan.samples);
                     }
                 }

@@ -6,7 +6,7 @@ use super::plan::MOST;
 
 /// One sample of the window.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Sample {
+pub(super) struct TimedSample {
     pub time_s: f64,
     pub x: f64,
     pub y: f64,
@@ -17,7 +17,7 @@ pub(super) struct Sample {
 /// The newest readings, and when the matcher was asked.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Watch {
-    pub samples: Vec<Sample>,
+    pub samples: Vec<TimedSample>,
     /// Way since the newest of them, metres.
     pub since_m: f64,
     pub tried_s: Option<f64>,
@@ -40,7 +40,7 @@ impl Watch {
     }
 
     /// Keeps a reading if it is far enough from the one before.
-    pub fn keep(&mut self, sample: Sample, spacing_m: f64, most: usize) {
+    pub fn keep(&mut self, sample: TimedSample, spacing_m: f64, most: usize) {
         if self.since_m < spacing_m {
             return;
         }

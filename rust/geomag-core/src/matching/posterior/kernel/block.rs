@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use super::super::noise::{LEVELS, Level};
+use super::super::noise::{ErrorLevel, LEVELS};
 use super::fill::fill;
 use super::integral::{Tails, nuisances, one_bias, weigh};
-use super::setup::{FEW, LANES, MOST, SOME, Scores, Scratch, Setup, WIDENING, Wide};
+use super::setup::{FEW_PARAMETERS, LANES, MOST_PARAMETERS, SOME_PARAMETERS, Scores, Scratch, Setup, WIDENING, Wide};
 
 /// Scores the candidates `offsets` (at most [`LANES`]; cells of the map) under the given levels: their density, or with
 /// `BOUND` a bound over the cell of each. The other levels are minus infinity.
@@ -61,8 +61,8 @@ fn evaluate<const BOUND: bool>(
     let needed = (setup.min_overlap * n as f64).max(1.0);
     let mut out = [[f64::NEG_INFINITY; LANES]; LEVELS];
     let mut bias = [0.0; LANES];
-    let mut theta = [[0.0; LANES]; MOST];
-    let mut weighed: Option<(Level, Wide)> = None;
+    let mut theta = [[0.0; LANES]; MOST_PARAMETERS];
+    let mut weighed: Option<(ErrorLevel, Wide)> = None;
     for index in levels {
         let level = &setup.levels[index];
         // A level that differs from the one before in its tails only has the same variances; the bias is nearly the same anyhow.
@@ -77,9 +77,13 @@ fn evaluate<const BOUND: bool>(
         } else {
             let tails = Tails::of(level);
             let log = match setup.shapes.len() + usize::from(setup.bias_sigma.is_some()) {
-                n if n <= FEW => nuisances::<BOUND, FEW>(setup, scratch, tails, turns, &mut theta),
-                n if n <= SOME => nuisances::<BOUND, SOME>(setup, scratch, tails, turns, &mut theta),
-                _ => nuisances::<BOUND, MOST>(setup, scratch, tails, turns, &mut theta),
+                n if n <= FEW_PARAMETERS => {
+                    nuisances::<BOUND, FEW_PARAMETERS>(setup, scratch, tails, turns, &mut theta)
+                }
+                n if n <= SOME_PARAMETERS => {
+                    nuisances::<BOUND, SOME_PARAMETERS>(setup, scratch, tails, turns, &mut theta)
+                }
+                _ => nuisances::<BOUND, MOST_PARAMETERS>(setup, scratch, tails, turns, &mut theta),
             };
             for l in 0..LANES {
                 lane[l] += log[l];

@@ -1,11 +1,11 @@
 //! One candidate looked at closely: its parameters, its misfit, what it tells of the offset.
 
-use super::super::noise::Level;
+use super::super::noise::ErrorLevel;
 use super::fill::fill;
 use super::integral::{Tails, derivatives, nuisances, weigh};
-use super::setup::{FEW, LANES, MOST, SOME, Scratch, Setup, WIDENING};
+use super::setup::{FEW_PARAMETERS, LANES, MOST_PARAMETERS, SOME_PARAMETERS, Scratch, Setup, WIDENING};
 
-/// Standard deviations beyond which a sample is a miss. A Student-t law with nu = 10 has 5 in 10,000 there, one with nu = 3 15 in 1,000.
+/// Standard deviations beyond which a sample is a miss. A Student-t distribution with nu = 10 has 5 in 10,000 there, one with nu = 3 15 in 1,000.
 const MISS: f64 = 5.0;
 
 /// What one candidate looks like under one error level.
@@ -13,8 +13,8 @@ const MISS: f64 = 5.0;
 pub(in super::super) struct Detail {
     /// Measured minus map constant, units.
     pub bias: f64,
-    /// Nuisance parameters beside the bias, in the setup's order, standard deviations about the node.
-    pub theta: [f64; MOST],
+    /// Nuisance parameters beside the bias, in the setup's order, standard deviations about the component.
+    pub theta: [f64; MOST_PARAMETERS],
     /// Mean of (nu + 1) z^2 / (nu + z^2) over the samples that are no misses, 1 where the model holds.
     pub misfit: f64,
     /// Samples whose residual is beyond [`MISS`] standard deviations.
@@ -26,14 +26,19 @@ pub(in super::super) struct Detail {
 }
 
 /// Looks closely at one candidate (cells of the map) under one error level.
-pub(in super::super) fn detail(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
+pub(in super::super) fn detail(
+    setup: &Setup<'_>,
+    offset: [f64; 2],
+    level: ErrorLevel,
+    scratch: &mut Scratch,
+) -> Detail {
     crate::instructions::chosen().dispatch(Single { setup, offset, level, scratch })
 }
 
 struct Single<'a, 'b> {
     setup: &'a Setup<'b>,
     offset: [f64; 2],
-    level: Level,
+    level: ErrorLevel,
     scratch: &'a mut Scratch,
 }
 
@@ -47,23 +52,23 @@ impl pulp::WithSimd for Single<'_, '_> {
 }
 
 #[inline(always)]
-fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut Scratch) -> Detail {
+fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: ErrorLevel, scratch: &mut Scratch) -> Detail {
     fill::<false>(setup, &[offset], &[level], scratch);
     weigh::<false>(scratch, &level);
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let mut theta = [[0.0; LANES]; MOST];
+    let mut theta = [[0.0; LANES]; MOST_PARAMETERS];
     let tails = Tails::of(&level);
     match with_bias + setup.shapes.len() {
-        n if n <= FEW => nuisances::<false, FEW>(setup, scratch, tails, &WIDENING, &mut theta),
-        n if n <= SOME => nuisances::<false, SOME>(setup, scratch, tails, &WIDENING, &mut theta),
-        _ => nuisances::<false, MOST>(setup, scratch, tails, &WIDENING, &mut theta),
+        n if n <= FEW_PARAMETERS => nuisances::<false, FEW_PARAMETERS>(setup, scratch, tails, &WIDENING, &mut theta),
+        n if n <= SOME_PARAMETERS => nuisances::<false, SOME_PARAMETERS>(setup, scratch, tails, &WIDENING, &mut theta),
+        _ => nuisances::<false, MOST_PARAMETERS>(setup, scratch, tails, &WIDENING, &mut theta),
     };
     let nu = level.nu;
     let (mut misfit, mut known, mut misses) = (0.0, 0, 0);
     let size = with_bias + setup.shapes.len();
     // Fisher information of (offset east, north, nuisances); the Schur complement leaves that of the offset.
-    let mut full = [[0.0; MOST + 2]; MOST + 2];
-    let mut derived = [[0.0; LANES]; MOST];
+    let mut full = [[0.0; MOST_PARAMETERS + 2]; MOST_PARAMETERS + 2];
+    let mut derived = [[0.0; LANES]; MOST_PARAMETERS];
     for (k, row) in scratch.rows.iter().enumerate() {
         let p = f64::from(row.precision[0]);
         if p == 0.0 {
@@ -71,7 +76,7 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
         }
         known += 1;
         derivatives(setup, row, k, with_bias, &mut derived);
-        let mut h = [0.0; MOST + 2];
+        let mut h = [0.0; MOST_PARAMETERS + 2];
         h[0] = f64::from(row.gradient[0][0]);
         h[1] = f64::from(row.gradient[1][0]);
         let mut e = f64::from(row.error[0]);
@@ -101,7 +106,7 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
         full[2 + with_bias + i][2 + with_bias + i] += setup.narrowed[i] * setup.narrowed[i];
     }
     let information = schur(full, size);
-    let mut rest = [0.0; MOST];
+    let mut rest = [0.0; MOST_PARAMETERS];
     for i in 0..setup.shapes.len() {
         rest[i] = theta[with_bias + i][0];
     }
@@ -116,7 +121,7 @@ fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: Level, scratch: &mut
 }
 
 /// Information on the first two parameters when the `others` after them are unknown.
-fn schur(mut m: [[f64; MOST + 2]; MOST + 2], others: usize) -> [f64; 3] {
+fn schur(mut m: [[f64; MOST_PARAMETERS + 2]; MOST_PARAMETERS + 2], others: usize) -> [f64; 3] {
     for pivot in (2..2 + others).rev() {
         let diagonal = m[pivot][pivot];
         if diagonal <= 0.0 {

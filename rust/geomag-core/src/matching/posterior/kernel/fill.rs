@@ -1,6 +1,6 @@
 //! The map along the track at every candidate of a block.
 
-use super::super::noise::{Interpolant, Level};
+use super::super::noise::{ErrorLevel, Interpolant};
 use super::super::patch::{
     ACROSS, BEND, Cells, DISTANCE, LIFT, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP, VALUE, VARIANCE,
 };
@@ -12,7 +12,7 @@ use super::setup::{EMPTY, LANES, Lane, Scratch, Setup};
 pub(super) fn fill<const BOUND: bool>(
     setup: &Setup<'_>,
     offsets: &[[f64; 2]],
-    levels: &[Level],
+    levels: &[ErrorLevel],
     scratch: &mut Scratch,
 ) {
     // Under a bound that stands for all levels the bends in its reach stand for the curves.

@@ -1,8 +1,8 @@
 //! The log-likelihood of a block of candidates with bias and other nuisance parameters integrated out.
 
-use super::super::noise::Level;
+use super::super::noise::ErrorLevel;
 use super::super::nuisance::Shape;
-use super::setup::{LANES, Lane, MOST, Row, Scratch, Setup, Wide};
+use super::setup::{LANES, Lane, MOST_PARAMETERS, SampleLanes, Scratch, Setup, Wide};
 
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
 pub(super) const PRODUCT: usize = 4;
@@ -11,10 +11,10 @@ const LARGEST: f32 = 1e9;
 /// Share of a sample inside its cell's reach in the step of a bound's bias: it does not pull, but must not let go at once.
 const INSIDE: f32 = 0.3;
 
-/// Degrees of freedom with which parameters are sought, at first, under a law whose outliers tell nothing: it must find them from afar.
+/// Degrees of freedom with which parameters are sought, at first, under a loss whose outliers tell nothing: it must find them from afar.
 const SEEKING_NU: f64 = 10.0;
 
-/// The law of one sample: a Student-t loss up to a greatest one.
+/// The loss of one sample: Student-t up to a greatest one.
 #[derive(Clone, Copy)]
 pub(super) struct Tails {
     pub nu: f32,
@@ -25,7 +25,7 @@ pub(super) struct Tails {
 }
 
 impl Tails {
-    pub fn of(level: &Level) -> Self {
+    pub fn of(level: &ErrorLevel) -> Self {
         let nu = level.nu as f32;
         if level.most_loss.is_infinite() {
             return Self { nu, seeking_nu: nu, most: LARGEST, cut: f32::INFINITY };
@@ -59,7 +59,7 @@ pub(super) fn logarithm(x: f32) -> f32 {
 /// Fills the errors and precisions 1 / s^2 of a level and returns minus half the sum of ln s^2; for a bound, of the least s^2
 /// within the candidate's cell.
 #[inline(always)]
-pub(super) fn weigh<const BOUND: bool>(scratch: &mut Scratch, level: &Level) -> Wide {
+pub(super) fn weigh<const BOUND: bool>(scratch: &mut Scratch, level: &ErrorLevel) -> Wide {
     let n = scratch.rows.len();
     let (level2, between2) = ((level.factor * level.factor) as f32, (level.between * level.between) as f32);
     let (bicubic, spline) = level.surface.parts();
@@ -169,7 +169,7 @@ pub(super) fn one_bias<const BOUND: bool>(
 }
 
 #[inline(always)]
-fn narrow<const M: usize>(theta: &[Wide; MOST]) -> [Lane; M] {
+fn narrow<const M: usize>(theta: &[Wide; MOST_PARAMETERS]) -> [Lane; M] {
     let mut narrowed = [[0.0; LANES]; M];
     for i in 0..M {
         for l in 0..LANES {
@@ -181,7 +181,13 @@ fn narrow<const M: usize>(theta: &[Wide; MOST]) -> [Lane; M] {
 
 /// Derivatives of one sample's residual by the nuisance parameters, bias first where there is one.
 #[inline(always)]
-pub(super) fn derivatives<const M: usize>(setup: &Setup<'_>, row: &Row, k: usize, with_bias: usize, h: &mut [Lane; M]) {
+pub(super) fn derivatives<const M: usize>(
+    setup: &Setup<'_>,
+    row: &SampleLanes,
+    k: usize,
+    with_bias: usize,
+    h: &mut [Lane; M],
+) {
     if with_bias == 1 {
         h[0] = [1.0; LANES];
     }
@@ -192,7 +198,7 @@ pub(super) fn derivatives<const M: usize>(setup: &Setup<'_>, row: &Row, k: usize
 
 /// Derivative of one sample's residual by one parameter.
 #[inline(always)]
-pub(super) fn derivative(per_unit: f32, shape: &Shape, row: &Row, k: usize, h: &mut Lane) {
+pub(super) fn derivative(per_unit: f32, shape: &Shape, row: &SampleLanes, k: usize, h: &mut Lane) {
     match shape {
         Shape::Moved(by) => {
             let [east, north] = by[k];
@@ -213,7 +219,7 @@ pub(super) fn nuisances<const BOUND: bool, const M: usize>(
     scratch: &Scratch,
     tails: Tails,
     turns: &[f32],
-    theta: &mut [Wide; MOST],
+    theta: &mut [Wide; MOST_PARAMETERS],
 ) -> Wide {
     let n = scratch.rows.len();
     let with_bias = usize::from(setup.bias_sigma.is_some());

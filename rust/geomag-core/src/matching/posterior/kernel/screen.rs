@@ -6,12 +6,12 @@
 //! g = sum w e h and A = sum w h h' + prior, it is half the part of g' A^-1 g that the effect adds, less half the logarithm of what
 //! it adds to the determinant of A (Laplace's method). The map is read once for all effects, and its place among the nodes once for all maps.
 
-use super::super::noise::Level;
+use super::super::noise::ErrorLevel;
 use super::super::nuisance::Shape;
 use super::super::patch::{Cells, Spots};
 use super::fill::fill;
 use super::integral::{PRODUCT, Tails, derivative, derivatives, factorise, logarithm, nuisances, one_bias, weigh};
-use super::setup::{FEW, LANES, Lane, MOST, SOME, Scratch, Setup, WIDENING, Wide};
+use super::setup::{FEW_PARAMETERS, LANES, Lane, MOST_PARAMETERS, SOME_PARAMETERS, Scratch, Setup, WIDENING, Wide};
 
 /// Log-likelihoods of a block of candidates.
 #[derive(Debug, Clone)]
@@ -54,7 +54,7 @@ impl pulp::WithSimd for Screen<'_, '_> {
         let Self { setup, effects, maps, offsets, level, scratch } = self;
         let level = setup.levels[level];
         fill::<false>(setup, offsets, &[level], scratch);
-        let mut theta = [[0.0; LANES]; MOST];
+        let mut theta = [[0.0; LANES]; MOST_PARAMETERS];
         let told = seek(setup, scratch, level, &WIDENING, &mut theta);
         let gains = if effects.is_empty() { Vec::new() } else { gains(setup, effects, scratch, level, &theta) };
         let whole = whole(setup, scratch);
@@ -99,7 +99,13 @@ fn whole(setup: &Setup<'_>, scratch: &Scratch) -> Wide {
 
 /// The log-likelihood with the parameters told integrated out; `theta` becomes their most likely values, sought from those given.
 #[inline(always)]
-fn seek(setup: &Setup<'_>, scratch: &mut Scratch, level: Level, turns: &[f32], theta: &mut [Wide; MOST]) -> Wide {
+fn seek(
+    setup: &Setup<'_>,
+    scratch: &mut Scratch,
+    level: ErrorLevel,
+    turns: &[f32],
+    theta: &mut [Wide; MOST_PARAMETERS],
+) -> Wide {
     let tails = Tails::of(&level);
     let mut lane = weigh::<false>(scratch, &level);
     if setup.shapes.is_empty() {
@@ -109,9 +115,9 @@ fn seek(setup: &Setup<'_>, scratch: &mut Scratch, level: Level, turns: &[f32], t
         return lane;
     }
     let log = match setup.shapes.len() + usize::from(setup.bias_sigma.is_some()) {
-        n if n <= FEW => nuisances::<false, FEW>(setup, scratch, tails, turns, theta),
-        n if n <= SOME => nuisances::<false, SOME>(setup, scratch, tails, turns, theta),
-        _ => nuisances::<false, MOST>(setup, scratch, tails, turns, theta),
+        n if n <= FEW_PARAMETERS => nuisances::<false, FEW_PARAMETERS>(setup, scratch, tails, turns, theta),
+        n if n <= SOME_PARAMETERS => nuisances::<false, SOME_PARAMETERS>(setup, scratch, tails, turns, theta),
+        _ => nuisances::<false, MOST_PARAMETERS>(setup, scratch, tails, turns, theta),
     };
     for l in 0..LANES {
         lane[l] += log[l];
@@ -181,7 +187,7 @@ impl Sums {
     }
 }
 
-/// Sums over the samples with the weights of a reweighting at the parameters `at`, wider than the law by a factor of the variance: for the
+/// Sums over the samples with the weights of a reweighting at the parameters `at`, wider than the error model by a factor of the variance: for the
 /// parameters told, and for every effect.
 #[inline(always)]
 fn accumulate(
@@ -189,15 +195,15 @@ fn accumulate(
     effects: &[&[Shape]],
     scratch: &Scratch,
     tails: Tails,
-    at: &[Lane; MOST],
+    at: &[Lane; MOST_PARAMETERS],
     wide: f32,
 ) -> (Sums, Vec<Sums>) {
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let known = (with_bias + setup.shapes.len()).min(MOST);
+    let known = (with_bias + setup.shapes.len()).min(MOST_PARAMETERS);
     let (nu, cut) = tails.turn(wide == 1.0);
     let mut of_told = Sums::new(0, known);
     let mut of_effects: Vec<Sums> = effects.iter().map(|e| Sums::new(known, e.len())).collect();
-    let mut h = [[0.0_f32; LANES]; MOST];
+    let mut h = [[0.0_f32; LANES]; MOST_PARAMETERS];
     for (k, row) in scratch.rows.iter().enumerate() {
         derivatives(setup, row, k, with_bias, &mut h);
         let (mut weight, mut pull) = ([0.0_f32; LANES], [0.0_f32; LANES]);
@@ -222,16 +228,22 @@ fn accumulate(
     (of_told, of_effects)
 }
 
-/// What every effect gains at least: by the parabolas at the parameters told, or where a step under a much wider law leads, which is
+/// What every effect gains at least: by the parabolas at the parameters told, or where a step under a much wider loss leads, which is
 /// not stopped by the samples that the effect has made outliers.
 #[inline(always)]
-fn gains(setup: &Setup<'_>, effects: &[&[Shape]], scratch: &Scratch, level: Level, theta: &[Wide; MOST]) -> Vec<Wide> {
+fn gains(
+    setup: &Setup<'_>,
+    effects: &[&[Shape]],
+    scratch: &Scratch,
+    level: ErrorLevel,
+    theta: &[Wide; MOST_PARAMETERS],
+) -> Vec<Wide> {
     let tails = Tails::of(&level);
-    let mut at = [[0.0_f32; LANES]; MOST];
+    let mut at = [[0.0_f32; LANES]; MOST_PARAMETERS];
     for (at, theta) in at.iter_mut().zip(theta) {
         *at = theta.map(|t| t as f32);
     }
-    let mut prior = [1.0; MOST];
+    let mut prior = [1.0; MOST_PARAMETERS];
     if let Some(s) = setup.bias_sigma {
         prior[0] = if s.is_finite() { 1.0 / (s * s) } else { 0.0 };
     }
@@ -262,15 +274,15 @@ fn loss(
     effect: &[Shape],
     scratch: &Scratch,
     tails: Tails,
-    at: &[Lane; MOST],
+    at: &[Lane; MOST_PARAMETERS],
     known: usize,
-    prior: &[f64; MOST],
+    prior: &[f64; MOST_PARAMETERS],
 ) -> Wide {
     let with_bias = usize::from(setup.bias_sigma.is_some());
-    let size = (known + effect.len()).min(MOST);
+    let size = (known + effect.len()).min(MOST_PARAMETERS);
     let n = scratch.rows.len();
     let Tails { nu, most, .. } = tails;
-    let mut h = [[0.0_f32; LANES]; MOST];
+    let mut h = [[0.0_f32; LANES]; MOST_PARAMETERS];
     let mut product = [1.0_f32; LANES];
     let mut total = [0.0_f64; LANES];
     for (k, row) in scratch.rows.iter().enumerate() {
@@ -303,23 +315,28 @@ fn loss(
 /// A step on the parabolas of some weights.
 struct Solved {
     /// Of every parameter,
-    change: [Lane; MOST],
+    change: [Lane; MOST_PARAMETERS],
     /// and half the logarithm of what the effect adds to the determinant.
     determinant: Wide,
 }
 
 /// The step with one effect, by the sums for the parameters told and for its own; and what the effect gains by it.
 #[inline(always)]
-fn step(told: &Sums, effect: &Sums, prior: &[f64; MOST], theta: &[Wide; MOST]) -> (Wide, Solved) {
+fn step(told: &Sums, effect: &Sums, prior: &[f64; MOST_PARAMETERS], theta: &[Wide; MOST_PARAMETERS]) -> (Wide, Solved) {
     match told.pulls.len() + effect.pulls.len() {
-        n if n <= FEW => step_of::<FEW>(told, effect, prior, theta),
-        n if n <= SOME => step_of::<SOME>(told, effect, prior, theta),
-        _ => step_of::<MOST>(told, effect, prior, theta),
+        n if n <= FEW_PARAMETERS => step_of::<FEW_PARAMETERS>(told, effect, prior, theta),
+        n if n <= SOME_PARAMETERS => step_of::<SOME_PARAMETERS>(told, effect, prior, theta),
+        _ => step_of::<MOST_PARAMETERS>(told, effect, prior, theta),
     }
 }
 
 #[inline(always)]
-fn step_of<const M: usize>(told: &Sums, effect: &Sums, prior: &[f64; MOST], theta: &[Wide; MOST]) -> (Wide, Solved) {
+fn step_of<const M: usize>(
+    told: &Sums,
+    effect: &Sums,
+    prior: &[f64; MOST_PARAMETERS],
+    theta: &[Wide; MOST_PARAMETERS],
+) -> (Wide, Solved) {
     let known = told.pulls.len();
     let size = (known + effect.pulls.len()).min(M);
     let mut matrix = [[[0.0_f64; LANES]; M]; M];
@@ -349,7 +366,7 @@ fn step_of<const M: usize>(told: &Sums, effect: &Sums, prior: &[f64; MOST], thet
             }
         }
     }
-    let mut change = [[0.0; LANES]; MOST];
+    let mut change = [[0.0; LANES]; MOST_PARAMETERS];
     for i in (0..size).rev() {
         for l in 0..LANES {
             for k in i + 1..size {

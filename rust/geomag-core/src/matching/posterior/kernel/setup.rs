@@ -1,6 +1,6 @@
 //! What the kernel is given, what it answers, and its room to work in.
 
-use super::super::noise::{LEVELS, Level};
+use super::super::noise::{ErrorLevel, LEVELS};
 use super::super::nuisance::Shape;
 pub(in super::super) use super::super::patch::LANES;
 use super::super::patch::{Patch, Place};
@@ -8,10 +8,10 @@ use super::super::patch::{Patch, Place};
 /// Multipliers of the variance in successive reweightings.
 pub(super) const WIDENING: [f32; 4] = [100.0, 9.0, 1.0, 1.0];
 /// Most nuisance parameters: bias, heading, scale, drift east and north, legs, walk of the bias, and one more effect that is tested.
-pub(super) const MOST: usize = 16;
+pub(super) const MOST_PARAMETERS: usize = 16;
 /// Sizes for which there is room in less.
-pub(super) const FEW: usize = 2;
-pub(super) const SOME: usize = 5;
+pub(super) const FEW_PARAMETERS: usize = 2;
+pub(super) const SOME_PARAMETERS: usize = 5;
 
 pub(super) type Lane = [f32; LANES];
 pub(in super::super) type Wide = [f64; LANES];
@@ -38,7 +38,7 @@ pub(in super::super) struct Setup<'a> {
     pub lifts: bool,
     /// What the map may do between its nodes, in units of its bend, in the reach of a bound that stands for all levels.
     pub cover: f32,
-    pub levels: &'a [Level],
+    pub levels: &'a [ErrorLevel],
     /// None: no bias at all; infinite: unknown without bound. In units.
     pub bias_sigma: Option<f64>,
     /// What every other nuisance parameter does to the samples per standard deviation.
@@ -99,7 +99,7 @@ impl Scores {
 /// Rows of one sample for a block of candidates.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
-pub(super) struct Row {
+pub(super) struct SampleLanes {
     /// From the bilinear surface, and what the bicubic one and the spline add to that.
     pub residual: Lane,
     pub curve: Lane,
@@ -122,7 +122,7 @@ pub(super) struct Row {
     pub reach: Lane,
 }
 
-pub(super) const EMPTY: Row = Row {
+pub(super) const EMPTY: SampleLanes = SampleLanes {
     residual: [0.0; LANES],
     curve: [0.0; LANES],
     spline: [0.0; LANES],
@@ -142,5 +142,5 @@ pub(super) const EMPTY: Row = Row {
 /// Room for one block of candidates, reused from block to block.
 #[derive(Debug, Default)]
 pub(in super::super) struct Scratch {
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<SampleLanes>,
 }

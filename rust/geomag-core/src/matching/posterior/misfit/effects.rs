@@ -32,9 +32,9 @@ pub(super) struct Alternative {
 /// A channel as the tests look at it.
 pub(super) struct View<'a> {
     pub channel: &'a Prepared,
-    /// The error level that fits the answer best, and the node of the nuisance parameters.
+    /// The error level that fits the answer best, and the component of the nuisance parameters.
     pub level: usize,
-    node: usize,
+    component: usize,
     shapes: Vec<Shape>,
     narrowed: Vec<f64>,
     patch: Arc<Patch>,
@@ -44,14 +44,14 @@ impl<'a> View<'a> {
     /// Under the model as told, where it is declared to be.
     pub fn new(problem: &Problem<'_>, channel: &'a Prepared, offset: [f64; 2], step: [f64; 2]) -> Self {
         let levels = &channel.noise.levels;
-        let node = problem.best_node(channel, offset, channel.noise.typical, step);
-        let setup = problem.setup(channel, node, step);
+        let component = problem.best_component(channel, offset, channel.noise.typical, step);
+        let setup = problem.setup(channel, component, step);
         let scores = kernel::score::<false>(&setup, &[channel.cells(offset)], 0..levels.len(), &mut Scratch::default());
         let merit = |v: usize| scores.log_likelihood[v][0] + levels[v].log_prior;
         let level = (0..levels.len()).fold(0, |a, b| if merit(b) > merit(a) { b } else { a });
         let (shapes, narrowed) = (problem.nuisance.shapes.clone(), problem.nuisance.narrowed.clone());
-        let patch = Arc::clone(channel.patch_at(&problem.nuisance.nodes[node]));
-        Self { channel, level, node, shapes, narrowed, patch }
+        let patch = Arc::clone(channel.patch_at(&problem.nuisance.components[component]));
+        Self { channel, level, component, shapes, narrowed, patch }
     }
 
     /// The same with one effect more that leaves the map as it is.
@@ -64,7 +64,7 @@ impl<'a> View<'a> {
     }
 
     pub fn setup<'b>(&'b self, problem: &'b Problem<'_>, step: [f64; 2]) -> Setup<'b> {
-        let setup = problem.setup(self.channel, self.node, step);
+        let setup = problem.setup(self.channel, self.component, step);
         Setup { patch: &self.patch, shapes: &self.shapes, narrowed: &self.narrowed, ..setup }
     }
 }

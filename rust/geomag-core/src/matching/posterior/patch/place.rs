@@ -137,7 +137,7 @@ pub(in super::super) struct Spots {
     /// Column and row of the lower left node.
     pub(super) column: [i32; LANES],
     pub(super) row: [i32; LANES],
-    pub(super) way: Way,
+    pub(super) access: NodeAccess,
     /// The level below, and the share of the one above.
     pub(super) level: u32,
     pub(super) share: f32,
@@ -145,7 +145,7 @@ pub(in super::super) struct Spots {
 
 /// How the nodes around the places are read.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Way {
+pub(super) enum NodeAccess {
     /// Row by row: the offsets are one cell apart.
     Rows,
     /// The places lie in one cell of the map or about the corner of four, of which this is the lower left one.

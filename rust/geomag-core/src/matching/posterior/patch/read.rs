@@ -1,6 +1,6 @@
 //! Reading a window at many places at once: row by row, within one cell, or each by itself.
 
-use super::place::{Cells, Corners, LANES, Place, RUNS, Spots, Way, along};
+use super::place::{Cells, Corners, LANES, NodeAccess, Place, RUNS, Spots, along};
 use super::window::{Patch, VALUE};
 
 impl Patch {
@@ -19,14 +19,14 @@ impl Patch {
         let (left, right, lower, upper) = (column[left], column[right], row[lower], row[upper]);
         let first = lower as usize * self.columns + left as usize;
         let room = self.columns + (LANES + 1) * cells.stride.max(1);
-        let way = if cells.runs <= RUNS && everywhere && self.levels[0][VALUE].len() > first + room {
-            Way::Rows
+        let access = if cells.runs <= RUNS && everywhere && self.levels[0][VALUE].len() > first + room {
+            NodeAccess::Rows
         } else if right - left <= 1 && upper - lower <= 1 {
-            Way::Close([left, lower])
+            NodeAccess::Close([left, lower])
         } else {
-            Way::Apart
+            NodeAccess::Apart
         };
-        Spots { u, v, known, column, row, way, level: place.level, share: place.share }
+        Spots { u, v, known, column, row, access, level: place.level, share: place.share }
     }
 
     /// One quantity at the nodes around these spots.
@@ -56,10 +56,10 @@ impl Patch {
     /// A plane on the nodes of the patch at the nodes around these spots.
     #[inline(always)]
     pub fn read_plane(&self, plane: &[f32], cells: &Cells, spots: &mut Spots) -> Corners {
-        let read = match spots.way {
-            Way::Rows => self.in_rows(plane, cells, spots),
-            Way::Close(lowest) => self.close(plane, lowest, spots),
-            Way::Apart => None,
+        let read = match spots.access {
+            NodeAccess::Rows => self.in_rows(plane, cells, spots),
+            NodeAccess::Close(lowest) => self.close(plane, lowest, spots),
+            NodeAccess::Apart => None,
         };
         read.unwrap_or_else(|| self.apart(plane, spots))
     }

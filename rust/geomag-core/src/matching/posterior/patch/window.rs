@@ -58,7 +58,7 @@ pub(in super::super) struct Patch {
 
 /// One interpolated point.
 #[derive(Debug, Clone, Copy)]
-pub(in super::super) struct Sample {
+pub(in super::super) struct MapPoint {
     pub value: f32,
     pub variance: f32,
     pub distance: f32,
@@ -276,7 +276,7 @@ impl Patch {
 
     /// Bilinear value, variance, distance and gradient in a storey; a NaN value off the patch and next to holes.
     #[inline(always)]
-    pub fn at(&self, px: f64, py: f64, storey: Storey) -> Sample {
+    pub fn at(&self, px: f64, py: f64, storey: Storey) -> MapPoint {
         let below = self.on_level(px, py, storey.level);
         if storey.share == 0.0 {
             return below;
@@ -284,7 +284,7 @@ impl Patch {
         let above = self.on_level(px, py, storey.level + 1);
         let mix = |a: f32, b: f32| a + storey.share as f32 * (b - a);
         let nearest = if storey.share > 0.5 { &above } else { &below };
-        Sample {
+        MapPoint {
             value: mix(below.value, above.value),
             gradient: [0, 1].map(|d| mix(below.gradient[d], above.gradient[d])),
             ..*nearest
@@ -292,9 +292,9 @@ impl Patch {
     }
 
     #[inline(always)]
-    fn on_level(&self, px: f64, py: f64, level: usize) -> Sample {
-        const UNKNOWN: Sample =
-            Sample { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
+    fn on_level(&self, px: f64, py: f64, level: usize) -> MapPoint {
+        const UNKNOWN: MapPoint =
+            MapPoint { value: f32::NAN, variance: 0.0, distance: 0.0, gradient: [0.0; 2], curvature: 0.0, bend: 0.0 };
         let (last_column, last_row) = ((self.columns - 1) as f64, (self.rows - 1) as f64);
         if !(px >= -NODE_TOLERANCE
             && py >= -NODE_TOLERANCE
@@ -320,7 +320,7 @@ impl Patch {
         let (value, bend) = (mix([a, b, e, f]), of(BEND));
         let slope = [(b - a) + v * ((f - e) - (b - a)), (e - a) + u * ((f - b) - (e - a))];
         let curvature = 0.5 * bend * (u * (1.0 - u)).max(v * (1.0 - v));
-        Sample { value, variance, distance, gradient: slope, curvature, bend }
+        MapPoint { value, variance, distance, gradient: slope, curvature, bend }
     }
 
     /// The four nodes of a cell: lower left (number `i`), lower right, upper left, upper right.

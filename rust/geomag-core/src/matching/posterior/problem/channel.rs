@@ -1,9 +1,9 @@
-//! One channel made ready: its map laid out, its readings, the law of its errors.
+//! One channel made ready: its map laid out, its readings, the model of its errors.
 
 use std::sync::Arc;
 
-use super::super::noise::{Level, Noise};
-use super::super::nuisance::{Node, Nuisance};
+use super::super::noise::{ErrorLevel, Noise};
+use super::super::nuisance::{Component, Nuisance};
 use super::super::patch::{Patch, Place};
 use crate::stack::Storey;
 
@@ -15,9 +15,9 @@ const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
 /// One channel, made ready.
 pub(in super::super) struct Prepared {
     pub patch: Arc<Patch>,
-    /// The same at the heights of the nuisance's nodes, where the height is uncertain.
+    /// The same at the heights of the nuisance's components, where the height is uncertain.
     pub(super) lifted: Vec<Arc<Patch>>,
-    /// Indicated positions at every node of the nuisance parameters, in cells of the patch: `places[node][sample]`.
+    /// Indicated positions at every component of the nuisance parameters, in cells of the patch: `places[component][sample]`.
     pub(super) places: Vec<Vec<Place>>,
     /// Indicated positions, cells of the patch.
     pub(super) indicated: Vec<[f64; 2]>,
@@ -32,9 +32,9 @@ pub(in super::super) struct Prepared {
 }
 
 impl Prepared {
-    /// The map at the height of a node.
-    pub fn patch_at(&self, node: &Node) -> &Arc<Patch> {
-        self.lifted.get(node.height).unwrap_or(&self.patch)
+    /// The map at the height of a component.
+    pub fn patch_at(&self, component: &Component) -> &Arc<Patch> {
+        self.lifted.get(component.height).unwrap_or(&self.patch)
     }
 
     /// Mean square of standard deviations in value units, kernel units squared.
@@ -52,7 +52,7 @@ impl Prepared {
     }
 
     /// Length over which the map's errors decorrelate under a level, for a mean distance to the data, metres.
-    pub(super) fn correlation_m(&self, level: &Level, distance: f64) -> f64 {
+    pub(super) fn correlation_m(&self, level: &ErrorLevel, distance: f64) -> f64 {
         self.noise.correlation * distance * if self.noise.levels_are_distances { level.factor.min(1.0) } else { 1.0 }
     }
 
@@ -64,7 +64,7 @@ impl Prepared {
     /// about a cell of it.
     pub fn temper(
         &self,
-        level: &Level,
+        level: &ErrorLevel,
         distance: f64,
         [map_variance, between]: [f64; 2],
         spacing_m: f64,
@@ -87,17 +87,17 @@ impl Prepared {
         cells.clamp(LINEAR_CELLS[0], LINEAR_CELLS[1]) * (self.cell_m[0] * self.cell_m[1]).sqrt()
     }
 
-    /// Lays the track out at every node.
+    /// Lays the track out at every component.
     pub(super) fn move_to(&mut self, nuisance: &Nuisance) {
         let [east, north] = self.cell_m;
-        let laid_out = |node: &Node| {
+        let laid_out = |component: &Component| {
             let place = |(k, p): (usize, &[f64; 2])| {
-                let moved = node.moved_m.get(k).unwrap_or(&[0.0; 2]);
+                let moved = component.moved_m.get(k).unwrap_or(&[0.0; 2]);
                 Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north]).in_storey(self.storeys[k])
             };
             self.indicated.iter().enumerate().map(place).collect()
         };
-        self.places = nuisance.nodes.iter().map(laid_out).collect();
+        self.places = nuisance.components.iter().map(laid_out).collect();
     }
 
     /// Map units to cells of this channel's map.

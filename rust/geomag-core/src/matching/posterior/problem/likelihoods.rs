@@ -1,4 +1,4 @@
-//! Log-likelihoods of offsets by every channel, in the scope of error levels and nodes that still matter.
+//! Log-likelihoods of offsets by every channel, in the scope of error levels and components that still matter.
 
 use std::ops::Range;
 
@@ -9,21 +9,21 @@ use super::super::noise::LEVELS;
 use super::channel::Prepared;
 use super::ready::Problem;
 
-/// What of one channel is looked at: error levels and nodes of the nuisance parameters.
+/// What of one channel is looked at: error levels and components of the nuisance parameters.
 #[derive(Debug, Clone)]
 pub(in super::super) struct Scope {
     pub levels: Range<usize>,
     /// Whether the bound under the one level stands for all.
     pub cover: bool,
-    pub nodes: Vec<usize>,
+    pub components: Vec<usize>,
 }
 
 /// Scores of all candidates by one channel.
 pub(in super::super) struct Scored {
     /// A block of [`LANES`] candidates each.
     pub blocks: Vec<Scores>,
-    /// The largest log-likelihood of any candidate at every node in the scope, its share of the prior counted.
-    pub best_of_node: Vec<[f64; LEVELS]>,
+    /// The largest log-likelihood of any candidate at every component in the scope, its share of the prior counted.
+    pub best_of_component: Vec<[f64; LEVELS]>,
 }
 
 /// The scores by every channel.
@@ -37,10 +37,10 @@ const PARALLEL: usize = 16_000;
 impl Problem<'_> {
     /// Everything there is to look at.
     pub fn whole(&self) -> Vec<Scope> {
-        let nodes: Vec<usize> = (0..self.nuisance.nodes.len()).collect();
+        let components: Vec<usize> = (0..self.nuisance.components.len()).collect();
         self.channels
             .iter()
-            .map(|c| Scope { levels: 0..c.noise.levels.len(), cover: false, nodes: nodes.clone() })
+            .map(|c| Scope { levels: 0..c.noise.levels.len(), cover: false, components: components.clone() })
             .collect()
     }
 
@@ -69,7 +69,7 @@ impl Problem<'_> {
             } else {
                 scope.levels.clone()
             };
-            Scope { levels, cover, nodes: scope.nodes.clone() }
+            Scope { levels, cover, components: scope.components.clone() }
         };
         self.channels.iter().zip(scopes).map(part).collect()
     }
@@ -89,28 +89,28 @@ impl Problem<'_> {
                 }
                 self.score_block::<BOUND>(channel, scope, step, block, scratch)
             };
-            let work = offsets.len() * self.samples * scope.levels.len() * scope.nodes.len();
-            let (blocks, nodes): (Vec<Scores>, Vec<Vec<[f64; LEVELS]>>) = if work < PARALLEL {
+            let work = offsets.len() * self.samples * scope.levels.len() * scope.components.len();
+            let (blocks, components): (Vec<Scores>, Vec<Vec<[f64; LEVELS]>>) = if work < PARALLEL {
                 let mut scratch = Scratch::default();
                 cells.chunks(LANES).map(|block| one(&mut scratch, block)).unzip()
             } else {
-                let width = 8_usize.div_ceil(scope.nodes.len());
+                let width = 8_usize.div_ceil(scope.components.len());
                 cells.par_chunks(LANES).with_min_len(width).map_init(Scratch::default, one).unzip()
             };
-            let mut best_of_node = vec![[f64::NEG_INFINITY; LEVELS]; scope.nodes.len()];
-            for block in &nodes {
-                for (best, of_block) in best_of_node.iter_mut().zip(block) {
+            let mut best_of_component = vec![[f64::NEG_INFINITY; LEVELS]; scope.components.len()];
+            for block in &components {
+                for (best, of_block) in best_of_component.iter_mut().zip(block) {
                     for (best, log) in best.iter_mut().zip(of_block) {
                         *best = best.max(*log);
                     }
                 }
             }
-            Scored { blocks, best_of_node }
+            Scored { blocks, best_of_component }
         };
         self.channels.iter().zip(scopes).map(score).collect()
     }
 
-    /// One block, its nodes added up; and the best of each node.
+    /// One block, its components added up; and the best of each component.
     fn score_block<const BOUND: bool>(
         &self,
         channel: &Prepared,
@@ -121,8 +121,8 @@ impl Problem<'_> {
     ) -> (Scores, Vec<[f64; LEVELS]>) {
         let mut sum: Option<Scores> = None;
         let mut best = Vec::new();
-        for &node in &scope.nodes {
-            let mut setup = self.setup(channel, node, step);
+        for &component in &scope.components {
+            let mut setup = self.setup(channel, component, step);
             if BOUND {
                 setup.blur_m2 = [self.options.position_sigma_m.powi(2) as f32; 2];
                 if scope.cover {
@@ -131,8 +131,8 @@ impl Problem<'_> {
                 }
             }
             let mut scores = kernel::score::<BOUND>(&setup, cells, scope.levels.clone(), scratch);
-            if self.nuisance.nodes.len() > 1 {
-                scores.weigh(self.nuisance.nodes[node].log_weight);
+            if self.nuisance.components.len() > 1 {
+                scores.weigh(self.nuisance.components[component].log_weight);
                 best.push(scores.best());
             }
             match &mut sum {
@@ -143,15 +143,15 @@ impl Problem<'_> {
         (sum.unwrap_or_else(Scores::nothing), best)
     }
 
-    /// The node at which this offset is the most likely, given an error level.
-    pub fn best_node(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
-        let nodes = self.nuisance.nodes.len();
-        if nodes == 1 {
+    /// The component at which this offset is the most likely, given an error level.
+    pub fn best_component(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
+        let components = self.nuisance.components.len();
+        if components == 1 {
             return 0;
         }
-        let scope = Scope { levels: level..level + 1, cover: false, nodes: (0..nodes).collect() };
+        let scope = Scope { levels: level..level + 1, cover: false, components: (0..components).collect() };
         let (_, best) =
             self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut Scratch::default());
-        (1..nodes).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
+        (1..components).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::super::goodness;
 use super::super::kernel::{self, Scratch};
-use super::super::noise::Level;
+use super::super::noise::ErrorLevel;
 use super::channel::Prepared;
 use super::ready::Problem;
 use crate::map_error::Forecast;
@@ -20,7 +20,7 @@ pub(in super::super) struct Expected {
 }
 
 /// What one offset looks like from near: see [`Problem::detail`].
-pub(in super::super) struct Closer {
+pub(in super::super) struct ModeDetail {
     /// Measured minus map, value units.
     pub bias: f64,
     pub heading_deg: f64,
@@ -35,26 +35,26 @@ impl Problem<'_> {
         let mut scratch = Scratch::default();
         (channel.noise.levels.iter().enumerate())
             .map(|(v, level)| {
-                let setup = self.setup(channel, self.best_node(channel, offset, v, step), step);
+                let setup = self.setup(channel, self.best_component(channel, offset, v, step), step);
                 kernel::detail(&setup, channel.cells(offset), *level, &mut scratch).information
             })
             .collect()
     }
 
     /// A close look at one offset: the parameters by the first channel, the residuals of all.
-    pub fn detail(&self, offset: [f64; 2], step: [f64; 2]) -> Closer {
+    pub fn detail(&self, offset: [f64; 2], step: [f64; 2]) -> ModeDetail {
         let channel = &self.channels[0];
         let levels = &channel.noise.levels;
         // That of a spread of levels which is typical, or the worst that an unknown map may be.
         let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { channel.noise.typical };
-        let node = self.best_node(channel, offset, index, step);
-        let setup = self.setup(channel, node, step);
+        let component = self.best_component(channel, offset, index, step);
+        let setup = self.setup(channel, component, step);
         let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut Scratch::default());
-        let (heading_deg, scale) = self.nuisance.heading_and_scale(&self.nuisance.nodes[node], &detail.theta);
+        let (heading_deg, scale) = self.nuisance.heading_and_scale(&self.nuisance.components[component], &detail.theta);
         // Of several channels the worst, times their number: the chance that any of them is as bad (Bonferroni).
         let worst = self.channels.iter().map(|c| self.goodness(c, offset, step)).fold(1.0, f64::min);
         let goodness = (worst * self.channels.len() as f64).min(1.0);
-        Closer { bias: detail.bias * channel.unit, heading_deg, scale, goodness }
+        ModeDetail { bias: detail.bias * channel.unit, heading_deg, scale, goodness }
     }
 
     /// p-value of one channel's residuals at an offset, over what the error level of a track may be (Box, J. Roy. Stat. Soc. A 143
@@ -62,9 +62,9 @@ impl Problem<'_> {
     fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
         let (map_sigma, distance) = self.along(channel);
         let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
-        let setup = self.setup(channel, self.best_node(channel, offset, channel.noise.typical, step), step);
+        let setup = self.setup(channel, self.best_component(channel, offset, channel.noise.typical, step), step);
         let mut scratch = Scratch::default();
-        let tail = |level: Level| {
+        let tail = |level: ErrorLevel| {
             let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
             let (_, temper) = channel.temper(&level, distance, variances, self.spacing_m);
             level.log_prior.exp() * goodness::p_value(&detail, level.nu, temper)
@@ -79,12 +79,12 @@ impl Problem<'_> {
         let levels = &noise.levels;
         // The level expected of this map: the middle one, or the most probable of an unknown map.
         let level = levels.iter().copied().fold(levels[0], |a, b| if b.log_prior > a.log_prior { b } else { a });
-        // The first node is the likeliest: nothing moved.
+        // The first component is the likeliest: nothing moved.
         let setup = self.setup(channel, 0, [0.0, 0.0]);
         let mut scratch = Scratch::default();
         let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut scratch);
         // Of the stated errors: what the map cannot say between its nodes is no part of the bound.
-        let exact_between = Level { between: 0.0, ..level };
+        let exact_between = ErrorLevel { between: 0.0, ..level };
         let stated = kernel::detail(&setup, [0.0, 0.0], exact_between, &mut scratch);
         let (map_sigma, distance) = self.along(channel);
         let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];

@@ -5,12 +5,13 @@ use std::sync::Arc;
 use super::super::kernel::Setup;
 use super::super::noise::{Interpolant, Noise, bias_prior};
 use super::super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Nuisance, legs, reach_m};
-use super::super::options::{Channel, PosteriorOptions};
+use super::super::options::PosteriorOptions;
 use super::super::patch::{Patch, Place};
 use super::channel::Prepared;
 use super::interruption::Interruption;
 use crate::error::{Error, Result};
 use crate::field::Field;
+use crate::matching::scene::Channel;
 use crate::stack::Storey;
 use crate::track::Track;
 
@@ -215,13 +216,13 @@ impl<'a> Problem<'a> {
         })
     }
 
-    pub fn setup<'b>(&'b self, channel: &'b Prepared, node: usize, step: [f64; 2]) -> Setup<'b> {
+    pub fn setup<'b>(&'b self, channel: &'b Prepared, component: usize, step: [f64; 2]) -> Setup<'b> {
         let jitter = self.options.position_sigma_m.powi(2);
-        // The lattice step is the width of a uniform law.
+        // The lattice step is the width of a uniform distribution.
         let blur = |d: usize| ((step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter) as f32;
         Setup {
-            patch: channel.patch_at(&self.nuisance.nodes[node]),
-            places: &channel.places[node],
+            patch: channel.patch_at(&self.nuisance.components[component]),
+            places: &channel.places[component],
             values: &channel.values,
             per_unit: (1.0 / channel.unit) as f32,
             cell_m: channel.cell_m.map(|m| m as f32),

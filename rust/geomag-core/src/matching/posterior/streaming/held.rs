@@ -5,13 +5,14 @@ use serde::{Deserialize, Serialize};
 use super::super::lattice::Lattice;
 use super::super::noise::Noise;
 use super::super::nuisance::reach_m;
-use super::super::options::{Channel, PosteriorOptions};
+use super::super::options::PosteriorOptions;
 use super::super::patch::Patch;
 use super::candidate::Candidate;
 use crate::bounds::{require_places, require_values};
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
 use crate::fix::Status;
+use crate::matching::scene::Channel;
 use crate::stack::Storey;
 use crate::state::Saved;
 
@@ -20,7 +21,7 @@ const GATE: f64 = 5.0;
 /// Samples that may fall outside the gate, and the share of all that may beside them: with one outlier in twenty, one track
 /// in a hundred thousand has more.
 const FIRST_MISSES: u32 = 3;
-const MISSES: f64 = 0.2;
+const MISS_SHARE: f64 = 0.2;
 /// Fewest samples of a fix.
 pub(super) const FEWEST: usize = 3;
 /// Standard deviations of heading, scale and drift by which the offset may have moved between samples.
@@ -144,7 +145,7 @@ impl Held {
             None => f64::INFINITY,
             Some(s) => 4.0 * s,
         };
-        let allowed = FIRST_MISSES + (MISSES * (self.x.len() + self.let_go) as f64) as u32;
+        let allowed = FIRST_MISSES + (MISS_SHARE * (self.x.len() + self.let_go) as f64) as u32;
         self.candidates.retain_mut(|c| {
             let [px, py] = patch.position(x + c.offset[0], y + c.offset[1]);
             let sample = patch.at(px, py, storey);
@@ -193,9 +194,9 @@ impl Held {
         }
         s.moved_m = 0.0;
         let most = s.lattice.most;
-        let node = |c: &Candidate| s.lattice.node(c.offset);
-        let (mut low, mut high) = (node(first), node(first));
-        for at in s.candidates.iter().map(node) {
+        let index = |c: &Candidate| s.lattice.index(c.offset);
+        let (mut low, mut high) = (index(first), index(first));
+        for at in s.candidates.iter().map(index) {
             for d in 0..2 {
                 low[d] = low[d].min(at[d]);
                 high[d] = high[d].max(at[d]);
@@ -212,7 +213,7 @@ impl Held {
         for d in 0..2 {
             let mut wider: Vec<Option<Candidate>> = vec![None; columns * rows];
             for c in &s.candidates {
-                let at = s.lattice.node(c.offset);
+                let at = s.lattice.index(c.offset);
                 for k in (at[d] - rings[d]).max(low[d])..=(at[d] + rings[d]).min(high[d]) {
                     let to = if d == 0 { [k, at[1]] } else { [at[0], k] };
                     let place = &mut wider[(to[1] - low[1]) as usize * columns + (to[0] - low[0]) as usize];

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::super::decide;
 use super::super::lattice::Lattice;
 use super::super::noise::wants_curves;
-use super::super::options::{Channel, PosteriorOptions};
+use super::super::options::PosteriorOptions;
 use super::super::patch::Patch;
 use super::super::problem::Problem;
 use super::candidate::Candidate;
@@ -14,6 +14,7 @@ use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite};
 use crate::field::Field;
 use crate::fix::{Fix, Status};
+use crate::matching::scene::Channel;
 use crate::matching::stream::{Sample, Step, Stream};
 use crate::monitor::Monitor;
 use crate::stack::{check_heights, extent};
@@ -251,8 +252,8 @@ impl PosteriorMatcher {
             return refuse("its lattice is not that of this map");
         }
         let on_lattice = |c: &Candidate| {
-            let node = lattice.node(c.offset);
-            (0..2).all(|d| node[d].unsigned_abs() <= lattice.most[d] as u64) && lattice.offset(node) == c.offset
+            let index = lattice.index(c.offset);
+            (0..2).all(|d| index[d].unsigned_abs() <= lattice.most[d] as u64) && lattice.offset(index) == c.offset
         };
         if !saved.candidates.iter().all(on_lattice) {
             return refuse("a candidate lies outside the lattice of this map");
