@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import inspect
 import pickle
@@ -79,6 +80,62 @@ def test_an_option_stands_in_one_place(table):
             if path.suffix == ".rs" and "tests" not in path.stem and family in str(path):
                 code = re.sub(r"^ *///.*$", "", text, flags=re.M)  # examples state values
                 assert not again.search(code), f"{name} has its default again in {path.relative_to(ROOT)}"
+
+
+#: Names of options that mean something else in Python functions of their own: where, and what.
+OTHERS = {
+    "geographic": "whether coordinates are degrees, of maps, lines and pictures",
+    "interpolation": "how `DataArray.geomag.sample` reads a map, which is no matching",
+    "samples": "length of the tracks of a calibration",
+    "method": "which filter `calibrate_navigation` flies",
+    "position_sigma_m": "what a made-up INS starts off by",
+    "latitude_deg": "where a made-up INS flies",
+}
+#: The error that a made-up INS has, which is not what a matcher is told.
+MADE_UP = {"InsSpread"}
+
+
+def defaults_in_python(text):
+    """Every default that a Python text states in a signature or a class: who, name, value as text."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            a = node.args
+            positional = [*a.posonlyargs, *a.args]
+            stated = [*zip(positional[len(positional) - len(a.defaults) :], a.defaults, strict=True)]
+            stated += zip(a.kwonlyargs, a.kw_defaults, strict=True)
+            yield from ((node.name, arg.arg, ast.unparse(value)) for arg, value in stated if value is not None)
+        elif isinstance(node, ast.ClassDef):
+            for item in node.body:
+                if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name) and item.value is not None:
+                    yield node.name, item.target.id, ast.unparse(item.value)
+
+
+def same_default(stated, row):
+    """Whether a default in Python is that of a row of a table, however it is written."""
+    try:
+        return ast.literal_eval(stated) == eval(row, {"false": False, "true": True})
+    except ValueError:  # asked of the call itself
+        return False
+
+
+def stated_again(text, options):
+    for who, name, value in defaults_in_python(text):
+        meant = name in options and name not in OTHERS and who not in MADE_UP and value != "None"
+        if meant and any(same_default(value, row) for row in options[name]):
+            yield who, name, value
+
+
+def test_no_default_of_an_option_stands_in_python():
+    options = {}
+    for table in TABLES:
+        for name, default, _ in rows(table):
+            options.setdefault(name, set()).add(default)
+    for path in sorted((ROOT / "python").rglob("*.py")):
+        again = list(stated_again(path.read_text(encoding="utf-8"), options))
+        assert not again, f"{path.relative_to(ROOT)} states defaults again; `default_of` asks for them: {again}"
+    planted = "def f(x, min_overlap=.80, *, max_risk: float = 0.01, max_iterations=None, step=1): pass"
+    assert [name for _, name, _ in stated_again(planted, options)] == ["min_overlap", "max_risk"]
+    assert [name for _, name, _ in stated_again("class A:\n    max_risk: float = 1e-2", options)] == ["max_risk"]
 
 
 @pytest.mark.parametrize("table", TABLES)

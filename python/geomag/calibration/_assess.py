@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from geomag._defaults import default_of
 from geomag._errors import InvalidInputError, TooFewSamplesError
 from geomag._geomag import GridMap, Track, match_posterior_many
 from geomag.calibration._answers import Array, Calibration
@@ -19,7 +20,7 @@ def assess(
     name: str,
     half_width_m: float,
     tolerance_m: float,
-    max_risk: float = 0.01,
+    max_risk: float = default_of(match_posterior_many, "max_risk"),
     **options: Any,  # noqa: ANN401 - options of match_posterior, as they are
 ) -> Calibration:
     """Match tracks whose true positions are known. Other options are those of `match_posterior`.

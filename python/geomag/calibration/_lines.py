@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from geomag._defaults import default_of
 from geomag._errors import InvalidInputError, TooFewSamplesError
-from geomag._geomag import GridMap, Track
+from geomag._geomag import GridMap, Track, match_posterior_many
 from geomag._ranges import above, at_least
 from geomag.calibration._answers import Array, Calibration
 from geomag.calibration._assess import assess
@@ -25,7 +26,7 @@ def calibrate_lines(
     spacing_m: float,
     samples: int = 40,
     folds: int = 3,
-    max_risk: float = 0.01,
+    max_risk: float = default_of(match_posterior_many, "max_risk"),
     most: int = 2000,
     overlap: float = 0.0,
     seed: int = 1,

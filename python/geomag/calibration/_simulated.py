@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from geomag._defaults import default_of
 from geomag._errors import InvalidInputError
-from geomag._geomag import GridMap, Track
+from geomag._geomag import GridMap, Track, match_posterior_many
 from geomag._ranges import above, at_least
 from geomag.calibration._answers import Calibration
 from geomag.calibration._assess import assess
@@ -29,7 +30,7 @@ def calibrate_simulated(
     drift_m: float = 0.0,
     seed: int = 0,
     streaming: bool = False,
-    max_risk: float = 0.01,
+    max_risk: float = default_of(match_posterior_many, "max_risk"),
     **options: Any,  # noqa: ANN401 - options of match_posterior, as they are
 ) -> Calibration:
     """Calibration on simulated flights over a map that is right (its sigma is taken as the map has it).

@@ -10,6 +10,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from geomag._defaults import default_of
 from geomag._errors import InvalidInputError
 from geomag._geomag import Fix, GridMap, Iema, Track, match_contour, match_grid, match_posterior
 from geomag._words import Criterion
@@ -60,13 +61,13 @@ class Settings:
     sigma: float | None = None
     remove_mean: bool = True
     tolerance_m: float = 0.0
-    max_risk: float = 0.01
-    max_misses: int = 0
+    max_risk: float = default_of(match_posterior, "max_risk")
+    max_misses: int = default_of(Iema, "max_misses")
     heading_deg: float = 0.0
-    scale_sigma: float = 0.0
+    scale_sigma: float = default_of(match_posterior, "scale_sigma")
     letter: bool = False
-    surface: bool = False
-    bias_walk: float = 0.0
+    surface: bool = default_of(match_posterior, "surface")
+    bias_walk: float = default_of(match_posterior, "bias_walk")
 
     def map_units(self, grid: GridMap, track: Track, metres: float) -> tuple[float, float]:
         """A length in map units, (x, y), at the newest sample."""

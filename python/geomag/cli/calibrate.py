@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from geomag._defaults import default_of
+from geomag._geomag import match_posterior
 from geomag.cli import app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
 from geomag.cli._common import with_told_errors
@@ -56,7 +58,9 @@ def calibrate(
         float | None,
         typer.Option(callback=positive, help="Average the lines, map and readings, over this length (lines only)."),
     ] = None,
-    max_risk: Annotated[float, typer.Option(callback=share, help="Risk up to which a fix is declared.")] = 0.01,
+    max_risk: Annotated[float, typer.Option(callback=share, help="Risk up to which a fix is declared.")] = default_of(
+        match_posterior, "max_risk"
+    ),
     x: Annotated[str | None, typer.Option(help="Column of x or longitude.")] = None,
     y: Annotated[str | None, typer.Option(help="Column of y or latitude.")] = None,
     value: Annotated[str | None, typer.Option(help="Column of the values.")] = None,

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
+from geomag._defaults import default_of
 from geomag._errors import InvalidInputError
-from geomag._geomag import Fix, GridMap, Track
+from geomag._geomag import Fix, GridMap, Iema, Track, match_posterior
 from geomag.cli import NO_FIX, _raw, app
 from geomag.cli._checks import half_turn, not_negative, output, picture, positive, share
 from geomag.cli._common import aligned, describe, fix_json, load_dated, three, with_told_errors
@@ -74,7 +75,7 @@ def match(
     ] = 0.0,
     max_risk: Annotated[
         float, typer.Option(callback=share, help="Posterior: declared risk up to which it is a fix.")
-    ] = 0.01,
+    ] = default_of(match_posterior, "max_risk"),
     map_sigma: Annotated[
         float | None,
         typer.Option(
@@ -91,7 +92,9 @@ def match(
             "map's error is taken as typical of such a survey.",
         ),
     ] = None,
-    max_misses: Annotated[int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")] = 0,
+    max_misses: Annotated[
+        int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")
+    ] = default_of(Iema, "max_misses"),
     heading_deg: Annotated[
         float,
         typer.Option(
@@ -103,7 +106,7 @@ def match(
     scale_sigma: Annotated[
         float,
         typer.Option(callback=not_negative, help="Posterior, contour: standard deviation of the speed error, a ratio."),
-    ] = 0.0,
+    ] = default_of(match_posterior, "scale_sigma"),
     letter: Annotated[
         bool,
         typer.Option(help="Contour: rigid ICCP to the letter, from the INS; otherwise a lattice of starts, refined."),

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from geomag import stream as pipe
+from geomag._defaults import default_of
 from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, Iema, PosteriorMatcher, SlidingContour
 from geomag.cli import NO_FIX, app
@@ -67,8 +68,10 @@ def stream(
     ] = 0.0,
     max_risk: Annotated[
         float, typer.Option(callback=share, help="Posterior: declared risk up to which it is a fix.")
-    ] = 0.01,
-    max_misses: Annotated[int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")] = 0,
+    ] = default_of(PosteriorMatcher, "max_risk"),
+    max_misses: Annotated[
+        int, typer.Option(min=0, help="IEMA: gate violations that a candidate survives.")
+    ] = default_of(Iema, "max_misses"),
     length: Annotated[int, typer.Option(min=3, help="Contour: samples of the sliding window.")] = 20,
     input: Annotated[
         Input,

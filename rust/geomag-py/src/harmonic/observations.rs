@@ -4,7 +4,7 @@ use geomag_core::error::Error;
 use geomag_core::harmonic::Observations;
 use pyo3::prelude::*;
 
-use super::{Points, flat, main_vectors, sigmas};
+use super::points::{Points, flat, main_vectors, sigmas};
 use crate::error::PyRes;
 use crate::frame::vectors;
 use crate::lock::Shared;
