@@ -120,8 +120,13 @@ fn sensing() -> Sensing {
 static KINDS: LazyLock<Vec<Kind>> = LazyLock::new(|| {
     let written = "a state can be written";
     let iema = Iema::new(FIELD.clone(), IemaOptions::new(5.0, [200.0, 200.0])).expect("IEMA");
-    let posterior =
-        PosteriorMatcher::new(FIELD.clone(), Some(1.0), PosteriorOptions::new([150.0, 150.0]), 8).expect("matcher");
+    // Over few offsets and once: the search in stages has targets of its own.
+    let once = PosteriorOptions {
+        step: Some([50.0, 50.0]),
+        misfit_threshold: Some(f64::INFINITY),
+        ..PosteriorOptions::new([150.0, 150.0])
+    };
+    let posterior = PosteriorMatcher::new(FIELD.clone(), Some(1.0), once, 8).expect("matcher");
     let sliding = SlidingState::new(4, Some(1.0), 10.0, ContourOptions::default()).expect("window");
     let mut delta = DeltaModulator::new(2.0).expect("modulator");
     delta.update(3.0).expect("a value");

@@ -104,7 +104,7 @@ impl Problem<'_> {
         let mut total = [0.0; 3];
         let mut blurred = 0.0_f64;
         let (mut all, mut areas) = (Vec::with_capacity(self.channels.len()), Vec::with_capacity(self.channels.len()));
-        let prior = [0, 1].map(|d| 3.0 / (self.options.half_width[d] * self.scale_m[d]).powi(2));
+        let prior = self.prior_information();
         for (channel, (scored, log)) in self.channels.iter().zip(densities.iter().zip(&log_likelihood)) {
             let levels = &channel.noise.levels;
             let tempering = self.tempering(channel, &scored.blocks, 0..levels.len());
@@ -130,6 +130,12 @@ impl Problem<'_> {
         let largest = 0.5 * (ee + nn) + (0.25 * (ee - nn).powi(2) + en * en).sqrt();
         let spread_m = largest.recip().sqrt().max(blurred);
         Reference { log_likelihood, weights: all, areas, spread_m, offset, step }
+    }
+
+    /// What the search itself says of the offset along each axis, the inverse of a variance in square metres: one narrower than a cell of
+    /// the map goes over that cell.
+    pub fn prior_information(&self) -> [f64; 2] {
+        [0, 1].map(|d| 3.0 / (self.options.half_width[d].max(0.5 * self.cell[d]) * self.scale_m[d]).powi(2))
     }
 
     /// The longer side of a lattice cell, metres.

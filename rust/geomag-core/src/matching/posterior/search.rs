@@ -115,6 +115,12 @@ impl Problem<'_> {
             let resolved = self.longest_m(step) <= RESOLUTION * reference.spread_m;
             // A valley that is straight and narrower than can be resolved over its length would lose all of it but an end.
             let valley = kept.len() >= SURVIVORS && self.longest_m(step) <= FINE * self.tolerance_m;
+            // More are left by equal bounds only: nothing tells them apart, and all of their quarters would be left again.
+            if kept.len() > SURVIVORS {
+                let mut posterior = self.density(kept, step, &scopes);
+                posterior.stages = stages + 1;
+                return (posterior, kept_for_later);
+            }
             if (resolved || valley) && kept.len() > BROAD || coarse && stages > 1 {
                 let here = if valley { select(&offsets, &excess, PRUNE, usize::MAX) } else { kept.clone() };
                 let mut posterior = self.density(here, step, &scopes);

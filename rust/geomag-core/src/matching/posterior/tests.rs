@@ -350,6 +350,21 @@ fn the_stages_find_what_one_fine_lattice_finds() {
 }
 
 #[test]
+fn cells_that_nothing_tells_apart_do_not_multiply() {
+    // Cells ten thousand times as long as wide, as beside a pole, and readings of no use: every bound is the same at every stage.
+    let (x, y): (Vec<f64>, Vec<f64>) = (0..9).map(|i| (0.01 * f64::from(i), 100.0 * f64::from(i))).unzip();
+    let map = GridMap::new(GridValues::F64(vec![1.0; 81]), &x, &y, false).unwrap();
+    let at = |by: f64| (0..6).map(|k| by * (4.0 + 0.1 * f64::from(k))).collect::<Vec<f64>>();
+    let track = Track::new(at(0.01), at(100.0), vec![0.5, 0.4, -1.0, -0.4, -0.4, -20.0], None).unwrap();
+    for half_width in [[1e-5, 40.0], [0.02, 40.0], [0.02, 200.0]] {
+        let options = PosteriorOptions::new(half_width);
+        let fix = match_posterior(&map, &track, Some(2.0), &options).unwrap();
+        assert!(!fix.ok(), "{half_width:?}: {fix:?}");
+        assert!(fix.iterations < 20, "{half_width:?}: {} stages", fix.iterations);
+    }
+}
+
+#[test]
 fn the_stages_lose_nothing_when_heading_and_drift_are_unknown() {
     let map = uneven();
     let mut staged = PosteriorOptions::new([400.0, 400.0]);

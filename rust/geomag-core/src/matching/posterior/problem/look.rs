@@ -91,8 +91,7 @@ impl Problem<'_> {
         let (share, temper) = channel.temper(&level, distance, variances, self.spacing_m);
         let length = channel.correlation_m(&level, distance);
         let coefficient = if length > 0.0 && share > 0.0 { (-self.spacing_m / length).exp() } else { 0.0 };
-        let half = self.options.half_width;
-        let prior = [0, 1].map(|d| 3.0 / (half[d] * self.scale_m[d]).powi(2));
+        let prior = self.prior_information();
         let invert = |information: [f64; 3], factor: f64| {
             let [ee, en, nn] = information.map(|i| factor * i);
             let (ee, nn) = (ee + prior[0], nn + prior[1]);
