@@ -206,10 +206,15 @@ impl Saved for Saving {
         if list.windows(2).any(|w| (w[0].row, w[0].column) >= (w[1].row, w[1].column)) {
             return Err(Error::invalid("candidates", "row by row, each once", "another order"));
         }
-        match list.iter().find(|c| !c.log_score.is_finite() || c.misses > self.options.max_misses) {
+        let most = self.options.max_misses;
+        let wrong = |c: &&Candidate| {
+            !c.log_score.is_finite() || c.misses > most.min(c.tested) || c.tested as usize > self.state.n_samples
+        };
+        match list.iter().find(wrong) {
             None => Ok(()),
             Some(c) => {
-                Err(Error::invalid("candidate", "a finite score and no more misses than allowed", format!("{c:?}")))
+                let needed = "a finite score, and no more misses than allowed and than samples seen";
+                Err(Error::invalid("candidate", needed, format!("{c:?}")))
             }
         }
     }
@@ -560,7 +565,7 @@ impl Test {
         if r.abs() <= self.gate {
             let z = r * self.inverse_sigma;
             c.log_score += -0.5 * z * z - LN_SQRT_2PI;
-            c.tested += 1;
+            c.tested = c.tested.saturating_add(1);
             Some(c)
         } else if r.is_nan() {
             if self.unknown == Unknown::Drop {
@@ -571,7 +576,7 @@ impl Test {
         } else if c.misses < self.max_misses {
             c.log_score += self.gate_density;
             c.misses += 1;
-            c.tested += 1;
+            c.tested = c.tested.saturating_add(1);
             Some(c)
         } else {
             None

@@ -4,6 +4,8 @@
 //! keeps the first and loses the second, and the means of neighbouring batches are nearly independent, so that no state for the
 //! map's error is needed.
 
+use crate::bounds::{require_place, require_spread, require_values};
+
 use serde::{Deserialize, Serialize};
 
 use super::law::{MapLaw, Place};
@@ -77,12 +79,13 @@ impl Batch {
             && self.length_m.is_finite()
             && (self.readings.is_empty() || self.every > 0)
             && self.readings.iter().all(|r| {
-                [r.value, r.time_s, r.x, r.y].iter().all(|v| v.is_finite())
-                    && r.sigma.is_finite()
-                    && r.sigma >= 0.0
+                r.time_s.is_finite()
+                    && require_place("reading", false, [r.x, r.y]).is_ok()
+                    && require_values("reading", &[r.value]).is_ok()
+                    && require_spread("sigma", r.sigma).is_ok()
                     && r.height_m.is_none_or(f64::is_finite)
                     && r.terms.len() == terms
-                    && r.terms.iter().all(|t| t.is_finite())
+                    && require_values("terms", &r.terms).is_ok()
             })
     }
 

@@ -27,7 +27,8 @@ impl Navigator {
     /// options have a covariance for. A reading whose terms are not all numbers is no reading.
     ///
     /// # Errors
-    /// As [`Navigator::step`]; [`Error::Shape`] for another number of terms with a reading.
+    /// As [`Navigator::step`], also for terms beyond [`crate::bounds::MOST_VALUE`]; [`Error::Shape`] for another number of terms with a
+    /// reading.
     pub fn step_with_terms(&mut self, indicated: &Indicated, terms: &[f64]) -> Result<NavigatorStep> {
         let wanted = self.state.options.terms();
         if terms.len() != wanted && indicated.value.is_some_and(|v| !v.is_nan()) {
@@ -37,7 +38,11 @@ impl Navigator {
                 format!("({},)", terms.len()),
             ));
         }
-        let value = indicated.value.filter(|v| !v.is_nan() && terms.iter().all(|t| t.is_finite()));
+        let whole = terms.iter().all(|t| t.is_finite());
+        if whole {
+            require_values("terms", terms)?;
+        }
+        let value = indicated.value.filter(|v| !v.is_nan() && whole);
         let now = self.check(indicated)?;
         let before = self.state.newest;
         if let Some(before) = before {

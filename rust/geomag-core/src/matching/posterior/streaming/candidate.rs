@@ -22,6 +22,12 @@ impl Candidate {
         Self { offset, bias: all, support: 0, rival: all, rival_support: 0, misses: 0 }
     }
 
+    /// Whether its counts can be those of so many samples: each is support or a miss, and a rival's are among the misses.
+    pub fn counts_within(&self, samples: usize) -> bool {
+        let taken = u64::from(self.support) + u64::from(self.misses);
+        self.rival_support <= self.misses && taken <= samples as u64 && taken < u64::from(u32::MAX)
+    }
+
     /// Takes one more sample, which allows the biases in `own`; none beyond `most` either way is possible.
     pub fn take(&mut self, own: [f64; 2], most: f64) {
         let both = |a: [f64; 2]| {

@@ -77,6 +77,10 @@ impl Saved for Held {
         if !(0.0..=1.0).contains(&self.risk) {
             return Err(Error::invalid("risk", "a probability", self.risk));
         }
+        if let Some(c) = self.candidates.iter().find(|c| !c.counts_within(self.seen)) {
+            let got = format!("{c:?} of {} samples seen", self.seen);
+            return Err(Error::invalid("candidate", "counts of samples that were seen", got));
+        }
         if let Some([west, east, south, north]) = self.window {
             require_finite("window", &[west, east, south, north])?;
             if !(west <= east && south <= north) {
