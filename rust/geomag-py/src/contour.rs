@@ -503,15 +503,15 @@ macro_rules! contour_calls {
             /// Returns a `Fix`; `searching` until full.
             #[pyo3(signature = (x, y, value, height_m = None))]
             fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyFix> {
-                let step = self.inner.take(py, &Sample { place: [x, y], value, height_m })?;
+                let units = self.inner.with(py, |s| s.state().most_work());
+                let step = self.inner.take(py, units, &Sample { place: [x, y], value, height_m })?;
                 Ok(step.fix.unwrap_or_else(|| Fix::none(step.status, 0)).into())
             }
 
             /// Take the samples of a track one by one. Returns a list of `Fix`.
             fn run(&self, py: Python<'_>, track: &PyTrack) -> PyRes<Vec<PyFix>> {
                 let track = track.on(py, self.grid.bind(py))?;
-                // Some hundred iterations of a few microseconds a sample.
-                let units = track.len() as u64 * 500_000;
+                let units = self.inner.with(py, |s| s.state().most_work()).saturating_mul(track.len() as u64);
                 let fixes = long_call::run(py, units, None, None, |monitor| {
                     let one = |window: &mut SlidingContour, k: usize| {
                         monitor.advance(k as u64, track.len() as u64)?;

@@ -9,12 +9,12 @@ use std::thread::ThreadId;
 
 use geomag_core::fix::Fix;
 use geomag_core::matching::stream::{Sample, Step, Stream};
-use geomag_core::monitor::Quiet;
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::PyBytes;
 
 use crate::error::{PyRes, invalid};
+use crate::long_call;
 
 /// State behind a lock.
 ///
@@ -45,9 +45,9 @@ impl<T: Send> Shared<T> {
 
 /// What every stream of matching shares in Python.
 impl<S: Stream> Shared<S> {
-    /// Takes one sample; other Python threads run meanwhile.
-    pub fn take(&self, py: Python<'_>, sample: &Sample) -> PyRes<Step> {
-        Ok(self.detached(py, |s| s.take(sample, &Quiet))?)
+    /// Takes one sample; other Python threads run meanwhile, and Ctrl-C is heard where it takes `units` (about a nanosecond each).
+    pub fn take(&self, py: Python<'_>, units: u64, sample: &Sample) -> PyRes<Step> {
+        long_call::run(py, units, None, None, |monitor| self.alone(|s| s.take(sample, monitor)))
     }
 
     /// The answer on the samples held.

@@ -13,7 +13,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::error::{PyRes, invalid};
 
 /// Work below this many units is done at once: starting a thread would cost more than it takes.
-const SHORT: u64 = 20_000_000;
+pub const SHORT: u64 = 20_000_000;
 
 /// Threads that a caller can ask for: starting a million would take for ever.
 const MOST_THREADS: usize = 512;

@@ -131,6 +131,12 @@ impl SlidingState {
         self.length
     }
 
+    /// About how long a sample takes at most, nanoseconds: some hundreds a point and iteration.
+    pub fn most_work(&self) -> u64 {
+        let passes = (self.length as u64).saturating_mul(self.options.max_iterations as u64);
+        passes.saturating_mul(1000)
+    }
+
     /// Samples taken so far.
     pub fn count(&self) -> usize {
         self.count

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use geomag_core::field::Field;
+use geomag_core::monitor::Monitor;
 use geomag_core::navigation::navigator::{Correction, Indicated, Method, Navigator};
 use geomag_core::navigator_options;
 use pyo3::prelude::*;
@@ -16,6 +17,7 @@ use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
 use crate::lock::Shared;
+use crate::long_call;
 
 macro_rules! navigator_class {
     ($($part:ident [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*])*) => {
@@ -99,9 +101,10 @@ impl PyNavigator {
     ) -> PyRes<PyNavigationStep> {
         let velocity_m_s = velocity_m_s.map(|v| pair("velocity_m_s", v)).transpose()?;
         let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value };
-        // A step may hold a match, which takes a while.
         let terms = optional_vector("terms", terms)?.unwrap_or_default();
-        let inner = self.inner.detached(py, |n| n.step_with_terms(&indicated, &terms))?;
+        let step = |monitor: &dyn Monitor| self.inner.alone(|n| n.step_interruptible(&indicated, &terms, monitor));
+        let units = if self.inner.with(py, |n| n.is_match_due(time_s)) { long_call::SHORT } else { 0 };
+        let inner = long_call::run(py, units, None, None, step)?;
         Ok(PyNavigationStep { inner })
     }
 

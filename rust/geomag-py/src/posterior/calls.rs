@@ -4,7 +4,7 @@
 
 use geomag_core::error::Error;
 use geomag_core::matching::posterior::{PosteriorMatcher, PosteriorOptions};
-use geomag_core::matching::stream::feed;
+use geomag_core::matching::stream::{Sample, Stream, feed};
 use geomag_core::{common_options, posterior_options};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -375,7 +375,14 @@ macro_rules! calls {
             /// Raises `NotFiniteError` for a sample that is not finite; it is not taken.
             #[pyo3(signature = (x, y, value, height_m = None))]
             fn update(&self, py: Python<'_>, x: f64, y: f64, value: f64, height_m: Option<f64>) -> PyRes<PyPosteriorStep> {
-                Ok(PyPosteriorStep { inner: self.inner.detached(py, |m| m.update_at(x, y, value, height_m))? })
+                // With heading, drift or scale a candidate is looked at many times.
+                let held = |m: &mut PosteriorMatcher| m.n_feasible() as u64 * m.seen().min(m.holds().unwrap_or(usize::MAX)) as u64;
+                let units = self.inner.with(py, held).saturating_mul(100);
+                let sample = Sample { place: [x, y], value, height_m };
+                let inner = long_call::run(py, units, None, None, |monitor| {
+                    self.inner.alone(|m| m.update_interruptible(&sample, monitor))
+                })?;
+                Ok(PyPosteriorStep { inner })
             }
 
             /// Takes samples until a fix is declared or the track ends; the answer then.

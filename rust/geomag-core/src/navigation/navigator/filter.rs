@@ -12,6 +12,8 @@ use super::motion::{COUPLED, INS_STATES, Rows};
 const MOST: f64 = 1e60;
 /// How far below zero an eigenvalue of the correlations may lie for rounding's sake.
 const ROUNDING: f64 = 1e-6;
+/// Share of the variances in a measurement below which its own is lost to rounding.
+const RESOLVED: f64 = 1e-10;
 
 /// Room for a row: a multiple of the widest vector.
 fn padded(states: usize) -> usize {
@@ -234,6 +236,12 @@ impl Filter {
             add_scaled(cross, h, &self.covariance[k * stride..(k + 1) * stride]);
         }
         Predicted { variance: slopes.iter().map(|&(k, h)| h * cross[k]).sum::<f64>().max(0.0) }
+    }
+
+    /// Least variance of a measurement with these slopes that leaves a covariance: a number measured without error twice, or by states
+    /// whose parts in it cancel, is divided by what rounding left.
+    pub fn rounding(&self, slopes: &[(usize, f64)]) -> f64 {
+        RESOLVED * slopes.iter().map(|&(k, h)| h * h * self.at(k, k)).sum::<f64>()
     }
 
     /// Takes a number in after [`Filter::project`] with the same slopes: P <- (I - K H) P (I - K H)' + K R K', which stays positive.

@@ -163,7 +163,9 @@ pub fn navigate(
             monitor.advance(k as u64, input.len() as u64)?;
         }
         steps.push(
-            navigator.step_with_terms(&input.at(k), &given[k * terms..(k + 1) * terms]).map_err(|e| at_step(e, k))?,
+            navigator
+                .step_interruptible(&input.at(k), &given[k * terms..(k + 1) * terms], monitor)
+                .map_err(|e| at_step(e, k))?,
         );
     }
     let smoothed = navigator.record.as_ref().map(|record| {

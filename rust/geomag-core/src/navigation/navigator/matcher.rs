@@ -11,8 +11,11 @@ use super::outcome::Status;
 use super::plan::MatcherPlan;
 use super::state::{Navigator, Newest};
 use super::watch::TimedSample;
+use crate::error::{Error, Result};
 use crate::fix::Fix;
-use crate::matching::posterior::{PosteriorOptions, match_posterior};
+use crate::matching::posterior::{PosteriorOptions, match_interruptible};
+use crate::matching::scene::Channel;
+use crate::monitor::Monitor;
 use crate::track::Track;
 
 /// Half width of the search in standard deviations of the position, axis by axis.
@@ -36,22 +39,37 @@ pub(super) struct Asked {
 }
 
 impl Navigator {
-    /// Asks the matcher where it is time to, and draws the consequences.
-    pub(super) fn watch(&mut self, now: &Newest) {
-        let Some(plan) = self.state.options.matcher else { return };
-        let own = axes(self.own_m2())[0];
-        let lost = own > self.law.linear_m;
-        let alarm = self.state.running.value() > ALARM;
-        let since = |t: Option<f64>| t.map_or(f64::INFINITY, |t| now.time_s - t);
-        let look_round = since(self.state.watch.looked_s) >= plan.wide_every_s;
-        if since(self.state.watch.tried_s) < plan.every_s || !(lost || alarm || look_round) {
-            return;
+    /// Whether the matcher is due at this time, as the filter is now: that takes milliseconds to seconds instead of microseconds.
+    pub fn is_match_due(&self, time_s: f64) -> bool {
+        self.state.options.matcher.is_some_and(|plan| self.occasion(&plan, time_s).is_some())
+    }
+
+    /// Whether the filter is lost, and whether it is in doubt, where that or the time is an occasion to ask.
+    fn occasion(&self, plan: &MatcherPlan, time_s: f64) -> Option<[bool; 2]> {
+        let since = |t: Option<f64>| t.map_or(f64::INFINITY, |t| time_s - t);
+        if since(self.state.watch.tried_s) < plan.every_s {
+            return None;
         }
-        let Some(track) = self.window(&plan, now) else { return };
+        let lost = axes(self.own_m2())[0] > self.law.linear_m;
+        let alarm = self.state.running.value() > ALARM;
+        (lost || alarm || since(self.state.watch.looked_s) >= plan.wide_every_s).then_some([lost, alarm])
+    }
+
+    /// Asks the matcher where it is time to, and draws the consequences.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`]: it was not asked then.
+    pub(super) fn watch(&mut self, now: &Newest, monitor: &dyn Monitor) -> Result<()> {
+        let Some(plan) = self.state.options.matcher else { return Ok(()) };
+        let Some([lost, alarm]) = self.occasion(&plan, now.time_s) else { return Ok(()) };
+        let Some(track) = self.window(&plan, now) else { return Ok(()) };
+        let asked = self.ask(&plan, &track, monitor)?;
         self.state.watch.tried_s = Some(now.time_s);
         self.state.watch.looked_s = Some(now.time_s);
-        let Some(asked) = self.ask(&plan, &track) else { return };
-        self.draw_consequences(now, &asked, lost, alarm);
+        if let Some(asked) = asked {
+            self.draw_consequences(now, &asked, lost, alarm);
+        }
+        Ok(())
     }
 
     /// The newest samples where the filter thinks they were read, as many as the velocity error allows.
@@ -86,7 +104,7 @@ impl Navigator {
         plan.tolerance_m.unwrap_or(0.7 * self.law.linear_m)
     }
 
-    fn ask(&self, plan: &MatcherPlan, track: &Track) -> Option<Asked> {
+    fn ask(&self, plan: &MatcherPlan, track: &Track, monitor: &dyn Monitor) -> Result<Option<Asked>> {
         let tolerance_m = self.tolerance_m(plan);
         let own = self.own_m2();
         let [east, north] = self.field.metres_per_unit(track.newest()[1]);
@@ -96,7 +114,7 @@ impl Navigator {
                 .clamp(2.0 * tolerance_m, plan.reach_m.max(2.0 * tolerance_m))
         };
         let half_width = [half(own[0][0]) / east, half(own[1][1]) / north];
-        let times = track.time_s()?;
+        let Some(times) = track.time_s() else { return Ok(None) };
         let bending = self.velocity_sigma() * (times[times.len() - 1] - times[0]);
         let options = PosteriorOptions {
             tolerance_m: Some(tolerance_m),
@@ -105,8 +123,14 @@ impl Navigator {
             ..PosteriorOptions::new(half_width)
         };
         let sigma = self.state.options.reading_sigma;
-        let fix = match_posterior(self.field.as_ref(), track, (sigma > 0.0).then_some(sigma), &options).ok()?;
-        (fix.ok() && fix.covariance_m2.is_some()).then_some(Asked { fix, tolerance_m })
+        let sigma = (sigma > 0.0).then_some(sigma);
+        let channel = Channel { field: self.field.as_ref(), values: track.values(), sigma };
+        match match_interruptible(&[channel], track, &options, monitor) {
+            Ok(fix) => Ok((fix.ok() && fix.covariance_m2.is_some()).then_some(Asked { fix, tolerance_m })),
+            Err(Error::Interrupted) => Err(Error::Interrupted),
+            // A window that cannot be matched is one without a fix.
+            Err(_) => Ok(None),
+        }
     }
 
     fn draw_consequences(&mut self, now: &Newest, asked: &Asked, lost: bool, alarm: bool) {

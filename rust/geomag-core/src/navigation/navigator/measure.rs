@@ -154,6 +154,7 @@ impl Navigator {
     /// Takes a number in with a Student-t weight; returns as [`Navigator::use_batch`].
     fn take(&mut self, slopes: &[(usize, f64)], innovation: f64, variance: f64, batched: bool) -> Option<(f64, f64)> {
         let predicted = self.state.filter.project(slopes, &mut self.scratch);
+        let variance = variance.max(self.state.filter.rounding(slopes));
         let total = predicted.variance + variance;
         if !(total > 0.0) {
             return None;

@@ -7,6 +7,7 @@ use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION};
 use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite};
+use crate::monitor::{Monitor, Quiet};
 use crate::stack::check_height;
 
 /// Longest time between two steps, seconds.
@@ -30,6 +31,19 @@ impl Navigator {
     /// As [`Navigator::step`], also for terms beyond [`crate::bounds::MOST_VALUE`]; [`Error::Shape`] for another number of terms with a
     /// reading.
     pub fn step_with_terms(&mut self, indicated: &Indicated, terms: &[f64]) -> Result<NavigatorStep> {
+        self.step_interruptible(indicated, terms, &Quiet)
+    }
+
+    /// [`Navigator::step_with_terms`] whose match, where there is one, `monitor` may stop.
+    ///
+    /// # Errors
+    /// As [`Navigator::step_with_terms`]; [`Error::Interrupted`]: the step is taken then, without its match.
+    pub fn step_interruptible(
+        &mut self,
+        indicated: &Indicated,
+        terms: &[f64],
+        monitor: &dyn Monitor,
+    ) -> Result<NavigatorStep> {
         let wanted = self.state.options.terms();
         if terms.len() != wanted && indicated.value.is_some_and(|v| !v.is_nan()) {
             return Err(Error::shape(
@@ -53,11 +67,12 @@ impl Navigator {
         self.state.newest = Some(now);
         self.state.steps = self.state.steps.saturating_add(1);
         let (outcome, nis) = self.read(&now, value, indicated.height_m, terms);
-        self.watch(&now);
+        let watched = self.watch(&now, monitor);
         self.judge(&now, outcome);
         if let Some(record) = &mut self.record {
             record.stepped(&self.state.filter);
         }
+        watched?;
         Ok(self.answer(outcome, nis))
     }
 

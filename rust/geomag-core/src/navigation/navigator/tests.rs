@@ -10,10 +10,11 @@ use super::motion::{
 };
 use super::states::*;
 use super::*;
+use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues, Interpolation, MapSigma};
 use crate::map_error::{DistanceLayer, MapErrorModel};
-use crate::monitor::Quiet;
+use crate::monitor::{Monitor, Quiet};
 use crate::random::Random;
 
 const R: f64 = 6_371_000.0;
@@ -337,6 +338,30 @@ fn smoothing_gains_and_keeps_its_covariance() {
     }
     assert!(whole < 0.6 * causal && lagged < causal && whole < lagged, "{causal} {whole} {lagged}");
     assert!((0.8..3.0).contains(&(nees / n)), "NEES {}", nees / n);
+}
+
+#[test]
+fn a_match_that_is_stopped_is_asked_for_again() {
+    struct Stop;
+    impl Monitor for Stop {
+        fn advance(&self, _: u64, _: u64) -> Result<()> {
+            Err(Error::Interrupted)
+        }
+    }
+    let map = Arc::new(map(1));
+    let log = fly(&map, 400, 3000.0, &mut Random::new(5));
+    let mut navigator = Navigator::new(map, NavigatorOptions::new(3000.0)).unwrap();
+    let input = log.input();
+    let first =
+        (0..400).find(|&k| matches!(navigator.step_interruptible(&input.at(k), &[], &Stop), Err(Error::Interrupted)));
+    let first = first.expect("a lost filter asks the matcher");
+    // The step was taken, and the next one asks again.
+    assert_eq!(navigator.steps(), first as u64 + 1);
+    let next = input.at(first + 1);
+    assert!(navigator.is_match_due(next.time_s));
+    assert!(matches!(navigator.step_interruptible(&next, &[], &Stop), Err(Error::Interrupted)));
+    navigator.step(&input.at(first + 2)).unwrap();
+    assert!(!navigator.is_match_due(input.at(first + 3).time_s));
 }
 
 #[test]

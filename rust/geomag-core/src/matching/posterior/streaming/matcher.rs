@@ -7,7 +7,7 @@ use super::super::lattice::Lattice;
 use super::super::noise::wants_curves;
 use super::super::options::PosteriorOptions;
 use super::super::patch::Patch;
-use super::super::problem::Problem;
+use super::super::problem::{Interruption, Problem};
 use super::candidate::Candidate;
 use super::held::{FEWEST, Held};
 use crate::bounds::{require_place, require_values};
@@ -16,7 +16,7 @@ use crate::field::Field;
 use crate::fix::{Fix, Status};
 use crate::matching::scene::Channel;
 use crate::matching::stream::{Sample, Step, Stream};
-use crate::monitor::Monitor;
+use crate::monitor::{Monitor, Quiet};
 use crate::stack::{check_heights, extent};
 use crate::state::{self, Saved};
 use crate::track::Track;
@@ -109,6 +109,15 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::NotFinite`], or [`Error::Invalid`] for a height that the map does not serve, for a bad sample, which is not taken.
     pub fn update_at(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
+        self.update_interruptible(&Sample { place: [x, y], value, height_m }, &Quiet)
+    }
+
+    /// [`PosteriorMatcher::update_at`] that `monitor` may stop.
+    ///
+    /// # Errors
+    /// As [`PosteriorMatcher::update_at`]; [`Error::Interrupted`]: the sample is not taken then either.
+    pub fn update_interruptible(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<PosteriorStep> {
+        let Sample { place: [x, y], value, height_m } = *sample;
         require_finite("sample (x, y, value)", &[x, y, value])?;
         require_values("sample value", &[value])?;
         require_place("sample", self.field.geographic(), [x, y])?;
@@ -122,12 +131,19 @@ impl PosteriorMatcher {
         }
         // All or nothing: a sample that is refused on the way leaves the matcher as it was.
         let mut next = self.clone();
-        let step = next.take_sample(x, y, value, height_m)?;
+        let step = next.take_sample(x, y, value, height_m, monitor)?;
         *self = next;
         Ok(step)
     }
 
-    fn take_sample(&mut self, x: f64, y: f64, value: f64, height_m: Option<f64>) -> Result<PosteriorStep> {
+    fn take_sample(
+        &mut self,
+        x: f64,
+        y: f64,
+        value: f64,
+        height_m: Option<f64>,
+        monitor: &dyn Monitor,
+    ) -> Result<PosteriorStep> {
         let s = &mut self.state;
         if !s.x.is_empty() && s.heights_m.is_empty() == height_m.is_some() {
             let needed =
@@ -173,7 +189,7 @@ impl PosteriorMatcher {
         }
         self.state.next = s.seen + (n / 4).max(1);
         self.state.spread(&*self.field, SETTLED);
-        let (fix, kept) = self.solve(true)?;
+        let (fix, kept) = self.solve(true, monitor)?;
         self.state.status = fix.status;
         self.state.risk = fix.risk.unwrap_or(1.0);
         if let Some(kept) = kept {
@@ -187,21 +203,23 @@ impl PosteriorMatcher {
     /// # Errors
     /// [`Error::TooFewSamples`] before the first sample.
     pub fn fix(&self) -> Result<Fix> {
-        Ok(self.solve(false)?.0)
+        Ok(self.solve(false, &Quiet)?.0)
     }
 
     /// The answer, and the candidates that the first stage of its search would keep where it went that far: with
     /// `coarse`, the first lattice may settle that there is no fix yet.
-    fn solve(&self, coarse: bool) -> Result<(Fix, Option<Vec<[f64; 2]>>)> {
+    fn solve(&self, coarse: bool, monitor: &dyn Monitor) -> Result<(Fix, Option<Vec<[f64; 2]>>)> {
         let s = &self.state;
         let track = self.track()?;
         if s.candidates.is_empty() {
             return Ok((Fix::none(Status::Lost, s.x.len()), None));
         }
         let channels = [Channel { field: &*self.field, values: track.values(), sigma: s.sigma }];
-        let problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref())?;
+        let mut problem = Problem::on(&channels, &track, &s.options, self.patch.as_ref())?;
+        problem.interruption = Interruption::by(monitor);
         let offsets: Vec<[f64; 2]> = s.candidates.iter().map(|c| c.offset).collect();
         let (posterior, kept) = problem.solve_going_on(offsets, s.lattice.step, coarse);
+        problem.interruption.none()?;
         let mut fix = decide::answer(&problem, &track, &posterior, &s.lattice);
         fix.heights_m = self.field.as_stack().and(track.height_m()).and_then(extent);
         Ok((fix, kept))
@@ -335,9 +353,8 @@ impl PosteriorMatcher {
 }
 
 impl Stream for PosteriorMatcher {
-    fn take(&mut self, sample: &Sample, _: &dyn Monitor) -> Result<Step> {
-        let Sample { place: [x, y], value, height_m } = *sample;
-        let step = self.update_at(x, y, value, height_m)?;
+    fn take(&mut self, sample: &Sample, monitor: &dyn Monitor) -> Result<Step> {
+        let step = self.update_interruptible(sample, monitor)?;
         Ok(Step { status: step.status, fix: step.fix })
     }
 

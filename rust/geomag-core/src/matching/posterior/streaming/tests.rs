@@ -5,8 +5,11 @@ use std::sync::Arc;
 use super::super::options::PosteriorOptions;
 use super::candidate::Candidate;
 use super::*;
+use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::{GridMap, GridValues, MapSigma};
+use crate::matching::stream::Sample;
+use crate::monitor::{Monitor, Quiet};
 
 #[test]
 fn an_outlier_costs_one_miss_wherever_it_comes() {
@@ -58,4 +61,32 @@ fn candidates_spread_as_far_as_the_offset_may_have_moved() {
     let mut near = Candidate { misses: 2, bias: [0.0, 4.0], ..Candidate::new([0.0; 2]) };
     near.join(&Candidate { misses: 1, support: 7, bias: [3.0, 5.0], ..Candidate::new([100.0, 0.0]) });
     assert_eq!((near.offset, near.misses, near.support, near.bias), ([0.0; 2], 1, 7, [0.0, 5.0]));
+}
+
+/// Wants everything to stop at once.
+struct Stop;
+
+impl Monitor for Stop {
+    fn advance(&self, _: u64, _: u64) -> Result<()> {
+        Err(Error::Interrupted)
+    }
+}
+
+#[test]
+fn a_sample_whose_search_is_stopped_is_not_taken() {
+    let axis: Vec<f64> = (0..60).map(|i| 100.0 * f64::from(i)).collect();
+    let at = |x: f64, y: f64| 40.0 * (x / 300.0).sin() * (y / 250.0).cos();
+    let values = axis.iter().flat_map(|y| axis.iter().map(|x| at(*x, *y))).collect();
+    let field: Arc<dyn Field> = Arc::new(GridMap::new(GridValues::F64(values), &axis, &axis, false).unwrap());
+    let mut matcher = PosteriorMatcher::new(field, Some(1.0), PosteriorOptions::new([400.0; 2]), 20).unwrap();
+    let sample = |k: i32| Sample { place: [2000.0 + 90.0 * f64::from(k), 3000.0], value: 5.0, height_m: None };
+    // The first two are too few to search with.
+    for k in 0..2 {
+        matcher.update_interruptible(&sample(k), &Stop).unwrap();
+    }
+    let before = matcher.save().unwrap();
+    assert!(matches!(matcher.update_interruptible(&sample(2), &Stop), Err(Error::Interrupted)));
+    assert_eq!(matcher.save().unwrap(), before);
+    matcher.update_interruptible(&sample(2), &Quiet).unwrap();
+    assert_eq!(matcher.n_samples(), 3);
 }
