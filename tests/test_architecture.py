@@ -295,3 +295,19 @@ def test_the_ellipsoid_is_the_cores_alone():
     constant = re.compile(r"6_?378_?137|0\.006_?694")
     for path in sorted((ROOT / "python").rglob("*.py")):
         assert not constant.search(path.read_text(encoding="utf-8")), f"{path.relative_to(ROOT)}: ask the map"
+
+
+def test_one_name_means_one_type():
+    """Somebody who reads `State` or `Candidate` in one room is not to think of that in another."""
+    declared = re.compile(
+        r"^ *(?:pub(?:\([\w: ]+\))? )?(?:struct|enum|trait|union) (\w+)|^(?:pub(?:\([\w: ]+\))? )?type (\w+)", re.M
+    )
+    places: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "rust" / "geomag-core" / "src").rglob("*.rs")):
+        if not path.stem.startswith("tests"):
+            code = path.read_text(encoding="utf-8").split("\n#[cfg(test)]\nmod tests {")[0]
+            code = re.sub(r"^ *//.*$", "", code, flags=re.M)
+            for name in (a or b for a, b in declared.findall(code)):
+                places.setdefault(name, []).append(str(path.relative_to(ROOT)))
+    assert len(places) > 200
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}

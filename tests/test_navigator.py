@@ -123,7 +123,7 @@ def test_outages_gates_edges_and_divergence():
     assert step.diverged
     away = geomag.FieldNavigator(model, start=(9000.0, 0.0), **options)
     assert away.step(1.0, 2.0, 60.0, [0.0, 0.0, 0.0]).outcome == "off_field"
-    assert "NavigatorStep(off_field" in repr(away.step(1.0, 2.0, 60.0, [0.0, 0.0, 0.0]))
+    assert "FieldNavigatorStep(off_field" in repr(away.step(1.0, 2.0, 60.0, [0.0, 0.0, 0.0]))
     assert "FieldNavigator(2 steps" in repr(away)
 
 

@@ -39,11 +39,13 @@ TABLES = {
     "rust/geomag-core/src/matching/refine/options.rs": [geomag.match_contour, geomag.SlidingContour],
     "rust/geomag-core/src/matching/iema.rs": [geomag.Iema],
     "rust/geomag-core/src/navigation/ins_feedback.rs": [geomag.InsFeedback],
+    "rust/geomag-core/src/navigation/field_navigator/options.rs": [geomag.FieldNavigator],
+    "rust/geomag-core/src/kalman/unscented.rs": [geomag.UnscentedKalmanFilter, geomag.FieldNavigator],
     # Shared rows; those of extents and steps are not all there is of every call.
     "rust/geomag-core/src/table.rs": [geomag.match_grid],
 }
 #: Where else the calls of a table could write its defaults again: parts of paths.
-FAMILIES = {"posterior": "posterior", "navigator/": "navigator/", "grid_search": "grid_search", "contour": "contour",
+FAMILIES = {"posterior": "posterior", "field_navigator": "field_navigator", "unscented": "kalman", "navigator/": "navigator/", "grid_search": "grid_search", "contour": "contour",
             "starts": "contour", "scene": "contour", "refine": "contour", "iema": "iema", "ins_feedback": "ins_feedback",
             "table": "grid_search"}  # fmt: skip
 ROW = re.compile(r"\((\w+): (\w+) = ([^;]+);\s*\"([^\"]+)\";\s*((?:\"[^\"]*\"\s*)+)\)")
@@ -64,7 +66,7 @@ def sources():
 @pytest.mark.parametrize("table", TABLES)
 def test_an_option_stands_in_one_place(table):
     found = rows(table)
-    assert len(found) > 3
+    assert len(found) > 2
     texts = list(sources())
     for name, _, lines in found:
         for line in (line for line in lines if len(line) > 25):  # the rest of a sentence may stand anywhere
@@ -91,8 +93,8 @@ OTHERS = {
     "position_sigma_m": "what a made-up INS starts off by",
     "latitude_deg": "where a made-up INS flies",
 }
-#: The error that a made-up INS has, which is not what a matcher is told.
-MADE_UP = {"InsSpread"}
+#: The errors that a made-up INS and a made-up sensor have, which are not what a matcher is told.
+MADE_UP = {"InsSpread", "Sensor"}
 
 
 def defaults_in_python(text):
@@ -287,6 +289,25 @@ def test_a_random_walk_says_per_what():
     default = geomag.Navigator(GRID, matcher="default").__reduce__()[1][-1]
     assert default == geomag.Navigator(GRID).__reduce__()[1][-1]
     assert default != geomag.Navigator(GRID, matcher=None).__reduce__()[1][-1]
+
+
+def test_walks_of_a_field_navigator_and_limits_of_filters_have_old_names():
+    given = {"start": (1000.0, 1000.0), "covariance_m2": 100.0, "reading_sigma": 1.0}
+    sigmas = {"speed_sigma_m_s": 1.0, "heading_sigma_deg": 1.0, "bias_sigma": 1.0}
+    new = {"speed_walk_m_s_sqrt_s": 0.1, "heading_walk_deg_sqrt_s": 0.2, "bias_walk_sqrt_s": 0.3}
+    old = {"speed_walk": 0.1, "heading_walk_deg": 0.2, "bias_walk": 0.3}
+    with pytest.warns(DeprecationWarning) as warned:
+        before = geomag.FieldNavigator(GRID, **given, **sigmas, **old)
+    assert [str(w.message).split()[-1] for w in warned] == [f"{name}=" for name in new]
+    now = geomag.FieldNavigator(GRID, **given, **sigmas, **new)
+    assert before.__reduce__()[1][-1] == now.__reduce__()[1][-1]
+    assert now.__reduce__()[1][-1] != geomag.FieldNavigator(GRID, **given, **sigmas).__reduce__()[1][-1]
+    ukf = geomag.UnscentedKalmanFilter([0.0], [[1.0]])
+    with pytest.warns(DeprecationWarning, match="max_nis"):
+        assert ukf.update([100.0], [[1.0]], 1.0, gate=9.0) is False
+    ekf = geomag.ExtendedKalmanFilter([0.0], [[1.0]])
+    with pytest.warns(DeprecationWarning, match="max_nis"):
+        assert ekf.update([100.0], [0.0], [[1.0]], 1.0, gate=9.0) is False
 
 
 def test_parts_serve_every_matcher():

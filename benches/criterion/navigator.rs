@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use geomag_core::harmonic::{RectangularHarmonicModel, Region, terms};
-use geomag_core::navigation::field_navigator::{FieldNavigator, Method, NavigatorOptions};
+use geomag_core::navigation::field_navigator::{FieldNavigator, FieldNavigatorMethod, FieldNavigatorOptions};
 use geomag_core::navigation::sensing::{Sensing, Sensor};
 
 /// Wavelengths of 100 m and more, some nT a metre.
@@ -24,12 +24,12 @@ fn steps(c: &mut Criterion) {
     let mut group = c.benchmark_group("field navigator step");
     for order in [10, 18] {
         for (name, method, extra) in [
-            ("unscented, position", Method::Unscented, 0.0),
-            ("extended, position", Method::Extended, 0.0),
-            ("unscented, speed, heading and bias", Method::Unscented, 1.0),
+            ("unscented, position", FieldNavigatorMethod::Unscented, 0.0),
+            ("extended, position", FieldNavigatorMethod::Extended, 0.0),
+            ("unscented, speed, heading and bias", FieldNavigatorMethod::Unscented, 1.0),
         ] {
             let sensing = Sensing::at_down(model(order), Sensor::Vector, 0.0).unwrap();
-            let options = NavigatorOptions {
+            let options = FieldNavigatorOptions {
                 start: [10.0, 20.0],
                 covariance_m2: [[2.0, 0.0], [0.0, 2.0]],
                 speed_sigma_m_s: 0.1 * extra,
@@ -37,7 +37,7 @@ fn steps(c: &mut Criterion) {
                 bias_sigma: 5.0 * extra,
                 reading_sigma: vec![3.0],
                 method,
-                ..NavigatorOptions::default()
+                ..FieldNavigatorOptions::default()
             };
             let navigator = FieldNavigator::new(sensing.clone(), options).unwrap();
             let mut reading = [0.0; 3];

@@ -701,7 +701,7 @@ class _NavigatorOptions(TypedDict, total=False):
     latitude_deg: float
 
 @final
-class NavigationStep:
+class NavigatorStep:
     @property
     def x(self) -> float: ...
     @property
@@ -749,7 +749,7 @@ class Navigator:
         *,
         height_m: float | None = None,
         terms: ArrayLike | None = None,
-    ) -> NavigationStep: ...
+    ) -> NavigatorStep: ...
     def correct(self, fix: Fix) -> tuple[float, bool]: ...
     def correct_position(self, offset_m: _Pair, covariance_m2: ArrayLike) -> tuple[float, bool]: ...
     def correct_velocity(self, velocity_m_s: _Pair, sigma_m_s: float) -> tuple[float, bool]: ...
@@ -1080,7 +1080,13 @@ class HarmonicMap:
 @final
 class UnscentedKalmanFilter:
     def __new__(
-        cls, x: ArrayLike, P: ArrayLike, *, alpha: float = 1.0, beta: float = 2.0, kappa: float = 0.0
+        cls,
+        x: ArrayLike,
+        P: ArrayLike,
+        *,
+        alpha: float = 1.0,
+        beta: float = 2.0,
+        kappa: float = 0.0,
     ) -> UnscentedKalmanFilter: ...
     def predict(self, f: Callable[[_Floats], ArrayLike] | ArrayLike, Q: ArrayLike) -> None: ...
     def update(
@@ -1090,6 +1096,7 @@ class UnscentedKalmanFilter:
         R: ArrayLike,
         *,
         max_nis: float | None = None,
+        gate: float | None = None,
     ) -> bool: ...
     x: Any
     P: Any
@@ -1119,7 +1126,14 @@ class ExtendedKalmanFilter:
     def __new__(cls, x: ArrayLike, P: ArrayLike) -> ExtendedKalmanFilter: ...
     def predict(self, state: ArrayLike, F: ArrayLike, Q: ArrayLike) -> None: ...
     def update(
-        self, z: ArrayLike, expected: ArrayLike, H: ArrayLike, R: ArrayLike, *, max_nis: float | None = None
+        self,
+        z: ArrayLike,
+        expected: ArrayLike,
+        H: ArrayLike,
+        R: ArrayLike,
+        *,
+        max_nis: float | None = None,
+        gate: float | None = None,
     ) -> bool: ...
     x: Any
     P: Any
@@ -1160,7 +1174,7 @@ class FieldSensor:
     ) -> FieldSensor: ...
 
 @final
-class NavigatorStep:
+class FieldNavigatorStep:
     @property
     def x(self) -> float: ...
     @property
@@ -1185,14 +1199,14 @@ class FieldNavigator:
         start: Sequence[float] | _Floats,
         covariance_m2: ArrayLike,
         reading_sigma: ArrayLike,
+        gate: float | None = ...,
         position_noise_m2_s: float = 0.01,
         speed_sigma_m_s: float = 0.0,
-        speed_walk: float = 0.0,
+        speed_walk_m_s_sqrt_s: float = 0.0,
         heading_sigma_deg: float = 0.0,
-        heading_walk_deg: float = 0.0,
+        heading_walk_deg_sqrt_s: float = 0.0,
         bias_sigma: float = 0.0,
-        bias_walk: float = 0.0,
-        gate: float | None = ...,
+        bias_walk_sqrt_s: float = 0.0,
         field_sigma: bool = True,
         method: Literal["unscented", "extended"] = "unscented",
         alpha: float = 1.0,
@@ -1203,10 +1217,13 @@ class FieldNavigator:
         down_m: float | None = None,
         height_m: float | None = None,
         interpolation: Literal["bilinear", "bicubic"] = "bicubic",
+        speed_walk: float | None = None,
+        heading_walk_deg: float | None = None,
+        bias_walk: float | None = None,
     ) -> FieldNavigator: ...
     def step(
         self, dt_s: float, speed_m_s: float, course_deg: float, reading: ArrayLike | None = None
-    ) -> NavigatorStep: ...
+    ) -> FieldNavigatorStep: ...
     def bound(self, path: ArrayLike, dt_s: float, speed_m_s: float, course_deg: float) -> _Floats: ...
     @property
     def position(self) -> tuple[float, float]: ...
@@ -1261,7 +1278,7 @@ def match_posterior(
     position_sigma_m: float = 0.0,
     bias_sigma: float | None = None,
     leg_bias_sigma: float = 0.0,
-    bias_walk: float = 0.0,
+    bias_drift_sigma: float = 0.0,
     height_sigma_m: float = 0.0,
     nu: float | None = None,
     interpolation: Literal["bilinear", "bicubic"] = "bilinear",
@@ -1294,7 +1311,7 @@ def match_posterior_many(
     position_sigma_m: float = 0.0,
     bias_sigma: float | None = None,
     leg_bias_sigma: float = 0.0,
-    bias_walk: float = 0.0,
+    bias_drift_sigma: float = 0.0,
     height_sigma_m: float = 0.0,
     nu: float | None = None,
     interpolation: Literal["bilinear", "bicubic"] = "bilinear",
@@ -1326,7 +1343,7 @@ def predict_many(
     position_sigma_m: float = 0.0,
     bias_sigma: float | None = None,
     leg_bias_sigma: float = 0.0,
-    bias_walk: float = 0.0,
+    bias_drift_sigma: float = 0.0,
     height_sigma_m: float = 0.0,
     nu: float | None = None,
     interpolation: Literal["bilinear", "bicubic"] = "bilinear",
@@ -1456,7 +1473,7 @@ class PosteriorMatcher:
         position_sigma_m: float = 0.0,
         bias_sigma: float | None = None,
         leg_bias_sigma: float = 0.0,
-        bias_walk: float = 0.0,
+        bias_drift_sigma: float = 0.0,
         height_sigma_m: float = 0.0,
         nu: float | None = None,
         interpolation: Literal["bilinear", "bicubic"] = "bilinear",

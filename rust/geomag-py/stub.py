@@ -17,7 +17,7 @@ import geomag._geomag as module
 STUB = Path(__file__).resolve().parents[2] / "python" / "geomag" / "_geomag.pyi"
 #: Calls and classes whose arguments are written by the tables.
 CALLS = ["match_posterior", "match_posterior_many", "predict_many", "match_grid", "match_contour"]
-CLASSES = ["PosteriorMatcher", "SlidingContour", "Iema", "InsFeedback"]
+CLASSES = ["PosteriorMatcher", "SlidingContour", "Iema", "InsFeedback", "FieldNavigator", "UnscentedKalmanFilter"]
 #: Frozen objects that are nothing but their arguments.
 PARTS = ["SearchBox", "InsPrior", "Acceptance", "InsModel", "MatcherPlan"]
 
@@ -38,6 +38,15 @@ TYPES = {
     "{'indicated', 'grid'} or array of shape (n, 2)": 'Literal["indicated", "grid"] | ArrayLike',
     "array of shape (m, m)": "ArrayLike",
     "float or array of shape (2, 2)": "ArrayLike",
+    "array of shape (n, n)": "ArrayLike",
+    "float or array of shape (3,)": "ArrayLike",
+    "float, array of shape (2,) or (2, 2)": "ArrayLike",
+    "array of shape (3,)": "ArrayLike",
+    "(float, float)": "Sequence[float] | _Floats",
+    "RectangularHarmonicModel, GridMap, MapStack, HarmonicMap or FieldSensor": (
+        "RectangularHarmonicModel | GridMap | MapStack | HarmonicMap | FieldSensor"
+    ),
+    "reading of FieldSensor": "_Reading",
     "MatcherPlan, 'default' or None": 'MatcherPlan | Literal["default"] | None',
 }
 
@@ -62,6 +71,8 @@ def said(default: object) -> str:
     """Return a default as the stub writes it."""
     if isinstance(default, str):
         return f'"{default}"'
+    if default is ...:  # a value that the signature cannot write
+        return "..."
     return f"{default:_}" if isinstance(default, int) and not isinstance(default, bool) else repr(default)
 
 
@@ -76,7 +87,8 @@ def arguments(thing: Any, indent: str, first: str = "") -> str:  # noqa: ANN401 
         if name not in types:
             raise ValueError(f"{thing.__name__}: the docstring says nothing of {name}")
         required = parameter.default is parameter.empty
-        kind = stub_type(types[name], ... if required else parameter.default)
+        unwritten = parameter.default is ... and types[name].endswith(", optional")
+        kind = stub_type(types[name], ... if required else None if unwritten else parameter.default)
         lines.append(f"{name}: {kind}" + ("" if required else f" = {said(parameter.default)}"))
     return "".join(f"{indent}{line},\n" for line in lines)
 

@@ -9,7 +9,7 @@ use geomag_core::harmonic::{
     FitOptions, HarmonicMap, Observations, Period, Positions, Prior, Quantity, RectangularHarmonicModel,
     Regularisation, fit,
 };
-use geomag_core::information::{Block, TrackInformation};
+use geomag_core::information::{NodeBlock, TrackInformation};
 use geomag_core::main_field::{MainField, pairs};
 use geomag_core::monitor::Quiet;
 use geomag_core::synthetic::{CrustSpec, InsError, Leg, Path, Random, SensorModel};
@@ -170,7 +170,7 @@ pub fn gridding(data: &[u8]) {
     let geographic = s.one_in(2);
     let spacing = if geographic { [0.01, 0.01] } else { [s.number(50.0, 200.0), s.number(50.0, 200.0)] };
     let y: Vec<f64> = (0..height).map(|r| first + spacing[1] * r as f64).collect();
-    let block = Block { values: &values, y: &y, columns: width, spacing, geographic };
+    let block = NodeBlock { values: &values, y: &y, columns: width, spacing, geographic };
     if let Ok(bounds) = information.bound(&block) {
         for bound in bounds {
             assert!(bound.error_m.iter().chain(&bound.samples).all(|v| v.is_nan() || *v >= 0.0), "{bound:?}");

@@ -195,7 +195,7 @@ pub fn posterior_options(s: &mut Source<'_>, cell: [f64; 2]) -> PosteriorOptions
     if !staged && s.one_in(4) {
         match s.below(7) {
             0 => options.leg_bias_sigma = s.number(0.0, 10.0),
-            1 => options.bias_walk = s.number(0.0, 10.0),
+            1 => options.bias_drift_sigma = s.number(0.0, 10.0),
             2 => options.height_sigma_m = s.number(0.0, 100.0),
             3 => options.drift_sigma_m = s.number(0.0, 100.0),
             4 => options.heading_sigma_deg = s.number(0.0, 5.0),

@@ -9,8 +9,8 @@ use geomag_core::monitor::Quiet;
 use geomag_core::navigation::field_navigator::{self, FieldNavigator};
 use geomag_core::navigation::ins_feedback::{InsErrorModel, InsFeedback};
 use geomag_core::navigation::navigator::{
-    FlightInput, Indicated, InsModel, MatcherPlan, Method, Navigator, NavigatorOptions, NavigatorStep, Smoothing,
-    navigate,
+    FlightInput, Indicated, InsModel, MatcherPlan, Navigator, NavigatorMethod, NavigatorOptions, NavigatorStep,
+    Smoothing, navigate,
 };
 use geomag_core::navigation::sensing::Sensing;
 use geomag_core::state;
@@ -67,7 +67,7 @@ fn options(s: &mut Source<'_>, field: &dyn Field) -> NavigatorOptions {
         max_risk: s.number(0.0, 0.2),
         reach_m: s.number(1.0, 500.0),
     });
-    options.method = s.one_of(&[Method::Navigator, Method::Navigator, Method::Ekf]);
+    options.method = s.one_of(&[NavigatorMethod::Navigator, NavigatorMethod::Navigator, NavigatorMethod::Ekf]);
     options.latitude_deg = s.number(-89.0, 89.0);
     options
 }
@@ -204,7 +204,7 @@ pub fn flight(data: &[u8]) {
     let steps: Vec<Indicated> = (0..n).map(|_| vehicle.next(s, field.as_ref())).collect();
     // A thousand particles are carried on in pieces of five seconds: gaps of days are no matter of milliseconds.
     if particles && steps.windows(2).all(|w| w[1].time_s - w[0].time_s < 600.0) {
-        options.method = Method::Rbpf;
+        options.method = NavigatorMethod::Rbpf;
     }
     let column = |get: fn(&Indicated) -> f64| steps.iter().map(get).collect::<Vec<f64>>();
     let (time_s, x, y) = (column(|i| i.time_s), column(|i| i.x), column(|i| i.y));
@@ -246,7 +246,7 @@ pub fn field_navigator(data: &[u8]) {
     let s = &mut Source::new(data);
     let Some(field) = maps::field(s) else { return };
     let (first, cell) = maps::extent(field.as_ref());
-    let options = field_navigator::NavigatorOptions {
+    let options = field_navigator::FieldNavigatorOptions {
         start: [0, 1].map(|a| first[a] + cell[a] * s.number(0.0, 8.0)),
         covariance_m2: if s.one_in(8) {
             [[s.number(0.0, 1e4), s.number(-1e3, 1e3)], [s.number(-1e3, 1e3), s.number(0.0, 1e4)]]
@@ -255,15 +255,18 @@ pub fn field_navigator(data: &[u8]) {
         },
         position_noise_m2_s: s.number(0.0, 1.0),
         speed_sigma_m_s: s.number(0.0, 2.0),
-        speed_walk: s.number(0.0, 0.1),
+        speed_walk_m_s_sqrt_s: s.number(0.0, 0.1),
         heading_sigma_deg: s.number(0.0, 5.0),
-        heading_walk_deg: s.number(0.0, 0.1),
+        heading_walk_deg_sqrt_s: s.number(0.0, 0.1),
         bias_sigma: s.number(0.0, 20.0),
-        bias_walk: s.number(0.0, 1.0),
+        bias_walk_sqrt_s: s.number(0.0, 1.0),
         reading_sigma: vec![s.number(0.1, 5.0)],
         field_sigma: s.one_in(2),
         gate: s.maybe(0.5, 1.0),
-        method: s.one_of(&[field_navigator::Method::Unscented, field_navigator::Method::Extended]),
+        method: s.one_of(&[
+            field_navigator::FieldNavigatorMethod::Unscented,
+            field_navigator::FieldNavigatorMethod::Extended,
+        ]),
         scaling: if s.one_in(4) {
             Scaling { alpha: s.number(0.01, 1.0), beta: s.number(0.0, 3.0), kappa: s.number(-1.0, 3.0) }
         } else {

@@ -136,7 +136,7 @@ static KINDS: LazyLock<Vec<Kind>> = LazyLock::new(|| {
     let ekf = ExtendedKalmanFilter::new(&[1.0, 2.0], &[4.0, 1.0, 1.0, 3.0]).expect("filter");
     let mut walking = FieldNavigator::new(
         sensing(),
-        field_navigator::NavigatorOptions { start: [300.0, 300.0], bias_sigma: 2.0, ..Default::default() },
+        field_navigator::FieldNavigatorOptions { start: [300.0, 300.0], bias_sigma: 2.0, ..Default::default() },
     )
     .expect("navigator");
     walking.step(1.0, 10.0, 45.0, Some(&[3.0])).expect("a step");

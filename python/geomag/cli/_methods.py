@@ -67,7 +67,7 @@ class Settings:
     scale_sigma: float = default_of(match_posterior, "scale_sigma")
     letter: bool = False
     surface: bool = default_of(match_posterior, "surface")
-    bias_walk: float = default_of(match_posterior, "bias_walk")
+    bias_drift_sigma: float = default_of(match_posterior, "bias_drift_sigma")
 
     def map_units(self, grid: GridMap, track: Track, metres: float) -> tuple[float, float]:
         """A length in map units, (x, y), at the newest sample."""
@@ -107,7 +107,7 @@ def _posterior(grid: GridMap, track: Track, told: Settings) -> Answer:
         bias_sigma=None if told.remove_mean else 0.0,
         heading_sigma_deg=told.heading_deg,
         scale_sigma=told.scale_sigma,
-        bias_walk=told.bias_walk,
+        bias_drift_sigma=told.bias_drift_sigma,
         surface=told.surface,
     )
     return fix, []

@@ -219,7 +219,7 @@ def solve_raw(
     longitude, latitude = _raw.in_degrees(grid, log.x, log.y, log.geographic)
     span = None if samples.time_s is None else float(np.ptp(samples.time_s))
     left = raw.tell(reduction, longitude, latitude, span)
-    told = replace(told, bias_walk=left.get("drift_nt", 0.0))
+    told = replace(told, bias_drift_sigma=left.get("drift_nt", 0.0))
     frames: list[Feasible] = []
 
     def matcher(grid: GridMap, track: Track) -> Fix:

@@ -142,7 +142,7 @@ def navigate(
         places = _raw.in_degrees(grid, flown.x, flown.y, flown.geographic)
         left = raw.tell(reduction, *places, float(np.ptp(flown.time_s)))
         if "walk_nt_sqrt_s" in left:
-            options["bias_walk"] = left["walk_nt_sqrt_s"]
+            options["bias_walk_sqrt_s"] = left["walk_nt_sqrt_s"]
         flown = replace(flown, readings=flown.readings + reduction.correction(*places, None))
     if flown.geographic and not grid.geographic:
         options["latitude_deg"] = float(np.mean(flown.y))

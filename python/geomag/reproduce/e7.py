@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from geomag._defaults import default_of
 from geomag._geomag import FieldNavigator, GridMap, RectangularHarmonicModel
 from geomag.reproduce import Context, Report, Table
 
@@ -78,7 +79,7 @@ def sail(
     true_q: float,
     sigma: float,
     start: tuple[float, float],
-    alpha: float = 1.0,
+    alpha: float = default_of(FieldNavigator, "alpha"),
 ) -> Sail:
     """Sail 100 s; `q` is what the filter believes of the motion, `true_q` what the ship does (both m^2 a second)."""
     navigator = FieldNavigator(
@@ -112,7 +113,9 @@ def bound_m(model: RectangularHarmonicModel, q: float, sigma: float) -> float:
     return float(np.sqrt(np.trace(bound, axis1=1, axis2=2)[SETTLED:].mean()))
 
 
-def sweep(context: Context, q: float, true_q: float, alpha: float = 1.0) -> list[tuple[object, ...]]:
+def sweep(
+    context: Context, q: float, true_q: float, alpha: float = default_of(FieldNavigator, "alpha")
+) -> list[tuple[object, ...]]:
     """Error, bound and consistency over gradients."""
     rows: list[tuple[object, ...]] = []
     trials = context.trials(100)

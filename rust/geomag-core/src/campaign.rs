@@ -109,7 +109,7 @@ pub struct Campaign {
 /// A matcher with its options.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Method {
+pub enum CampaignMethod {
     /// Streaming IEMA, stopped at its first fix.
     Iema(IemaOptions),
     /// Grid search over the whole track.
@@ -141,7 +141,7 @@ pub enum Method {
     },
 }
 
-impl Method {
+impl CampaignMethod {
     /// Matches one track; the second value is the index of the sample that the fix is for.
     ///
     /// # Errors
@@ -169,7 +169,7 @@ impl Method {
 
 /// The outcome of one trial. Errors are estimated minus true; what a method does not give is NaN.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Row {
+pub struct CampaignRow {
     /// Number of the trial.
     pub trial: u64,
     /// Status of the fix.
@@ -196,7 +196,7 @@ pub struct Row {
     pub runner_up: f64,
 }
 
-impl Row {
+impl CampaignRow {
     /// The row of a fix for sample `at` of a flight.
     pub fn new(trial: u64, flight: &Flight, fix: &Fix, at: usize) -> Self {
         let geographic = flight.path.geographic();
@@ -312,22 +312,22 @@ pub fn run(
     campaign: &Campaign,
     map: &Arc<GridMap>,
     truth: &dyn Field,
-    methods: &[Method],
+    methods: &[CampaignMethod],
     trials: &[u64],
     monitor: &dyn Monitor,
-) -> Result<Vec<Vec<Row>>> {
+) -> Result<Vec<Vec<CampaignRow>>> {
     let done = AtomicU64::new(0);
     let total = trials.len() as u64;
     monitor.advance(0, total)?;
-    let by_trial: Vec<Vec<Row>> = trials
+    let by_trial: Vec<Vec<CampaignRow>> = trials
         .par_iter()
         .map(|&trial| {
             let flight = campaign.flight(map, truth, trial)?;
-            let rows: Result<Vec<Row>> = methods
+            let rows: Result<Vec<CampaignRow>> = methods
                 .iter()
                 .map(|method| {
                     let (fix, at) = method.fix(map, &flight.track)?;
-                    Ok(Row::new(trial, &flight, &fix, at))
+                    Ok(CampaignRow::new(trial, &flight, &fix, at))
                 })
                 .collect();
             let count = done.fetch_add(1, Ordering::Relaxed) + 1;
@@ -337,7 +337,7 @@ pub fn run(
             rows
         })
         .collect::<Result<_>>()?;
-    let mut out: Vec<Vec<Row>> = methods.iter().map(|_| Vec::with_capacity(trials.len())).collect();
+    let mut out: Vec<Vec<CampaignRow>> = methods.iter().map(|_| Vec::with_capacity(trials.len())).collect();
     for rows in by_trial {
         for (column, row) in out.iter_mut().zip(rows) {
             column.push(row);
@@ -365,12 +365,12 @@ mod tests {
         }
     }
 
-    fn methods() -> Vec<Method> {
+    fn methods() -> Vec<CampaignMethod> {
         let grid = GridSearch { refine: true, ..GridSearch::new(Criterion::Msd, [2500.0; 2]) };
-        vec![Method::Iema(IemaOptions::new(1.0, [2000.0; 2])), Method::Grid(grid)]
+        vec![CampaignMethod::Iema(IemaOptions::new(1.0, [2000.0; 2])), CampaignMethod::Grid(grid)]
     }
 
-    fn bits(rows: &[Vec<Row>]) -> String {
+    fn bits(rows: &[Vec<CampaignRow>]) -> String {
         // NaN is not equal to itself; what is printed is.
         format!("{rows:?}")
     }

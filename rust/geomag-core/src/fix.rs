@@ -66,7 +66,7 @@ impl std::fmt::Display for Status {
 /// An effect that was not told and that the readings clearly ask for: why an answer that would have been a fix is rejected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Misfit {
-    /// `height`, `legs`, `bias_walk`, `reading_scale`, `heading`, `scale` or `drift`.
+    /// `height`, `legs`, `bias_drift`, `reading_scale`, `heading`, `scale` or `drift`.
     pub effect: String,
     /// Its size where it fits best: metres above the map, value units (largest step between legs; change of the bias from the first
     /// sample to the newest), factor on the map's values, degrees, factor on distance, metres from the first sample to the newest.

@@ -46,7 +46,7 @@ impl Default for TrackInformation {
 
 /// Part of a map: values row-major, row = y, NaN where unknown.
 #[derive(Debug, Clone, Copy)]
-pub struct Block<'a> {
+pub struct NodeBlock<'a> {
     /// Values.
     pub values: &'a [f64],
     /// y of the rows, map units, ascending.
@@ -135,7 +135,7 @@ impl TrackInformation {
     ///
     /// # Errors
     /// [`Error::Invalid`] naming the option, [`Error::Shape`] where values and axes do not fit.
-    pub fn bound(&self, block: &Block<'_>) -> Result<Vec<Bound>> {
+    pub fn bound(&self, block: &NodeBlock<'_>) -> Result<Vec<Bound>> {
         self.check()?;
         let (rows, columns) = (block.y.len(), block.columns);
         if rows.checked_mul(columns) != Some(block.values.len()) || columns == 0 {
@@ -150,7 +150,7 @@ impl TrackInformation {
         Ok(self.heading_deg.iter().map(|&heading| self.along(block, &gradient, heading)).collect())
     }
 
-    fn along(&self, block: &Block<'_>, gradient: &[[f64; 2]], heading_deg: f64) -> Bound {
+    fn along(&self, block: &NodeBlock<'_>, gradient: &[[f64; 2]], heading_deg: f64) -> Bound {
         let columns = block.columns;
         let rows = block.y.len() as i64;
         let (sin, cos) = (libm::sin(heading_deg.to_radians()), libm::cos(heading_deg.to_radians()));
@@ -168,7 +168,7 @@ impl TrackInformation {
                 })
                 .collect();
             for column in 0..columns {
-                let mut sums = Sums::default();
+                let mut sums = InformationSums::default();
                 let mut soon = f32::NAN;
                 for (k, &(r, shift)) in shifts.iter().enumerate() {
                     let c = column as i64 + shift;
@@ -195,13 +195,13 @@ impl TrackInformation {
 }
 
 /// Metres per cell of a row, `[east, north]`.
-fn cell_m(block: &Block<'_>, row: usize) -> [f64; 2] {
+fn cell_m(block: &NodeBlock<'_>, row: usize) -> [f64; 2] {
     let [east, north] = if block.geographic { metres_per_degree(block.y[row]) } else { [1.0, 1.0] };
     [block.spacing[0] * east, block.spacing[1] * north]
 }
 
 /// Central differences per metre `[east, north]`; NaN on the border and beside holes.
-fn gradient(block: &Block<'_>) -> Vec<[f64; 2]> {
+fn gradient(block: &NodeBlock<'_>) -> Vec<[f64; 2]> {
     let (rows, columns) = (block.y.len(), block.columns);
     let mut out = vec![[f64::NAN; 2]; block.values.len()];
     out.par_chunks_mut(columns).enumerate().for_each(|(row, line)| {
@@ -222,7 +222,7 @@ fn gradient(block: &Block<'_>) -> Vec<[f64; 2]> {
 
 /// Weighted sums along a track.
 #[derive(Debug, Clone, Copy, Default)]
-struct Sums {
+struct InformationSums {
     w: f64,
     x: f64,
     y: f64,
@@ -232,7 +232,7 @@ struct Sums {
     known: u32,
 }
 
-impl Sums {
+impl InformationSums {
     fn add(&mut self, [x, y]: [f64; 2], options: &TrackInformation) {
         let variance = options.sigma * options.sigma + options.map_error_m * options.map_error_m * (x * x + y * y);
         let w = 1.0 / variance;
@@ -275,7 +275,7 @@ mod tests {
     fn the_bound_is_the_inverse_of_the_information() {
         let n = 50;
         let (values, y) = waves(n);
-        let block = Block { values: &values, y: &y, columns: n, spacing: [100.0; 2], geographic: false };
+        let block = NodeBlock { values: &values, y: &y, columns: n, spacing: [100.0; 2], geographic: false };
         let options = TrackInformation {
             heading_deg: vec![90.0],
             samples: 12,
@@ -301,13 +301,13 @@ mod tests {
         let y: Vec<f64> = (0..n).map(|i| 100.0 * i as f64).collect();
         let plane: Vec<f64> = (0..n * n).map(|i| 5.0 * (i % n) as f64 + 3.0 * (i / n) as f64).collect();
         let options = TrackInformation { samples: 10, spacing_m: 100.0, ..TrackInformation::default() };
-        let block = Block { values: &plane, y: &y, columns: n, spacing: [100.0; 2], geographic: false };
+        let block = NodeBlock { values: &plane, y: &y, columns: n, spacing: [100.0; 2], geographic: false };
         let north = &options.bound(&block).unwrap()[0];
         assert!(north.error_m[20 * n + 20].is_infinite());
         assert!(north.samples[20 * n + 20].is_nan());
         let (mut values, _) = waves(n);
         values[18 * n + 20] = f64::NAN;
-        let block = Block { values: &values, y: &y, columns: n, spacing: [100.0; 2], geographic: false };
+        let block = NodeBlock { values: &values, y: &y, columns: n, spacing: [100.0; 2], geographic: false };
         let north = &options.bound(&block).unwrap()[0];
         assert!(north.error_m[20 * n + 20].is_nan()); // three of ten samples are beside the hole
         assert!(north.error_m[30 * n + 20].is_finite());
@@ -316,7 +316,7 @@ mod tests {
     #[test]
     fn bad_options_are_refused() {
         let (values, y) = waves(8);
-        let block = Block { values: &values, y: &y, columns: 8, spacing: [100.0; 2], geographic: false };
+        let block = NodeBlock { values: &values, y: &y, columns: 8, spacing: [100.0; 2], geographic: false };
         for bad in [
             TrackInformation { heading_deg: vec![], ..TrackInformation::default() },
             TrackInformation { samples: 1, ..TrackInformation::default() },
@@ -325,7 +325,7 @@ mod tests {
         ] {
             assert!(bad.bound(&block).is_err());
         }
-        let wrong = Block { columns: 7, ..block };
+        let wrong = NodeBlock { columns: 7, ..block };
         assert!(TrackInformation::default().bound(&wrong).is_err());
     }
 }

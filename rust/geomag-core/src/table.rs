@@ -16,7 +16,8 @@ macro_rules! option_type {
     (covariance) => { [[f64; 2]; 2] };
     (matrix) => { Vec<f64> };
     (matcher) => { Option<MatcherPlan> };
-    (method) => { Method };
+    (method) => { NavigatorMethod };
+    (field_method) => { FieldNavigatorMethod };
     (flag) => { bool };
     (tally) => { u32 };
     (maybe_size) => { Option<usize> };
@@ -52,7 +53,10 @@ macro_rules! option_default {
         Some(MatcherPlan::default())
     };
     (method "navigator") => {
-        Method::Navigator
+        NavigatorMethod::Navigator
+    };
+    (field_method "unscented") => {
+        FieldNavigatorMethod::Unscented
     };
     (reach None) => {
         f64::INFINITY

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use geomag_core::campaign::{Campaign, Method, Row, run};
+use geomag_core::campaign::{Campaign, CampaignMethod, CampaignRow, run};
 use geomag_core::field::Field;
 use geomag_core::grid::GridMap;
 use geomag_core::matching::contour::ContourOptions;
@@ -59,15 +59,15 @@ fn contour_settings(map: &Arc<GridMap>, keywords: &Bound<'_, PyDict>) -> PyRes<C
 }
 
 /// A matcher from its kind, and its options as JSON or, where they are those of the binding, as they are.
-fn method(map: &Arc<GridMap>, (kind, json, options): &(String, String, Bound<'_, PyDict>)) -> PyRes<Method> {
+fn method(map: &Arc<GridMap>, (kind, json, options): &(String, String, Bound<'_, PyDict>)) -> PyRes<CampaignMethod> {
     match kind.as_str() {
         "iema" => {
             let defaults = IemaOptions::new(1.0, [0.0; 2]);
-            Ok(Method::Iema(overlay("method iema", &defaults, &settings("method iema", json)?)?))
+            Ok(CampaignMethod::Iema(overlay("method iema", &defaults, &settings("method iema", json)?)?))
         }
         "grid" => {
             let defaults = GridSearch::new(Criterion::Msd, [0.0; 2]);
-            Ok(Method::Grid(overlay("method grid", &defaults, &settings("method grid", json)?)?))
+            Ok(CampaignMethod::Grid(overlay("method grid", &defaults, &settings("method grid", json)?)?))
         }
         "hausdorff" => {
             let mut given: Value = settings("method grid", json)?;
@@ -75,20 +75,20 @@ fn method(map: &Arc<GridMap>, (kind, json, options): &(String, String, Bound<'_,
             let (length_scale_m, value_scale) = (take("length_scale_m"), take("value_scale"));
             let fraction = take("fraction").unwrap_or(1.0);
             let search = overlay("method grid", &GridSearch::new(Criterion::Msd, [0.0; 2]), &given)?;
-            Ok(Method::Hausdorff { length_scale_m, value_scale, fraction, search })
+            Ok(CampaignMethod::Hausdorff { length_scale_m, value_scale, fraction, search })
         }
         "contour" => {
             let rest = options.copy()?;
             if rest.contains("sigma")? {
                 rest.del_item("sigma")?;
             }
-            Ok(Method::Contour { sigma: sigma(options)?, options: contour_settings(map, &rest)? })
+            Ok(CampaignMethod::Contour { sigma: sigma(options)?, options: contour_settings(map, &rest)? })
         }
         "posterior" => {
             let mut given: Value = settings("method posterior", json)?;
             given.as_object_mut().and_then(|o| o.remove("sigma"));
             let options_in_force = overlay("method posterior", &PosteriorOptions::new([0.0; 2]), &given)?;
-            Ok(Method::Posterior { sigma: sigma(options)?, options: options_in_force })
+            Ok(CampaignMethod::Posterior { sigma: sigma(options)?, options: options_in_force })
         }
         other => Err(invalid("method", "'iema', 'grid', 'hausdorff', 'posterior' or 'contour'", format!("'{other}'"))),
     }
@@ -124,9 +124,9 @@ impl Truth {
     }
 }
 
-fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyRes<Bound<'py, PyDict>> {
+fn columns<'py>(py: Python<'py>, rows: &[CampaignRow]) -> PyRes<Bound<'py, PyDict>> {
     let d = PyDict::new(py);
-    let number = |get: &dyn Fn(&Row) -> f64| shaped(py, rows.iter().map(get).collect(), &[rows.len()]);
+    let number = |get: &dyn Fn(&CampaignRow) -> f64| shaped(py, rows.iter().map(get).collect(), &[rows.len()]);
     d.set_item("trial", rows.iter().map(|r| r.trial).collect::<Vec<u64>>().into_pyarray(py))?;
     let status: Vec<&str> = rows.iter().map(|r| r.status.as_str()).collect();
     d.set_item("status", py.import("numpy")?.call_method1("array", (status, "U13"))?)?;
@@ -134,7 +134,7 @@ fn columns<'py>(py: Python<'py>, rows: &[Row]) -> PyRes<Bound<'py, PyDict>> {
     d.set_item("iterations", rows.iter().map(|r| r.iterations as u32).collect::<Vec<u32>>().into_pyarray(py))?;
     d.set_item("true_x", number(&|r| r.truth[0])?)?;
     d.set_item("true_y", number(&|r| r.truth[1])?)?;
-    d.set_item("error_m", number(&Row::distance_m)?)?;
+    d.set_item("error_m", number(&CampaignRow::distance_m)?)?;
     d.set_item("error_east_m", number(&|r| r.error_m[0])?)?;
     d.set_item("error_north_m", number(&|r| r.error_m[1])?)?;
     d.set_item("ins_error_east_m", number(&|r| r.ins_error_m[0])?)?;
@@ -165,7 +165,7 @@ pub fn campaign_rows<'py>(
 ) -> PyRes<Vec<Bound<'py, PyDict>>> {
     let campaign: Campaign = settings("campaign", campaign_json)?;
     let (map, truth) = (Arc::clone(&grid.inner), Truth::new(grid, truth)?);
-    let methods = methods.iter().map(|m| method(&map, m)).collect::<PyRes<Vec<Method>>>()?;
+    let methods = methods.iter().map(|m| method(&map, m)).collect::<PyRes<Vec<CampaignMethod>>>()?;
     let units = TRIAL_UNITS.saturating_mul(trials.len() as u64);
     let rows = long_call::run(py, units, threads, progress, |monitor| {
         run(&campaign, &map, truth.field(), &methods, &trials, monitor)

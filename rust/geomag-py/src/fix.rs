@@ -101,7 +101,7 @@ impl PyFix {
     /// What the readings ask for that was not told, where the answer is rejected for it: (effect, estimate, log evidence gained);
     /// else None.
     ///
-    /// `height` (metres above the map), `legs` and `bias_walk` (value units), `reading_scale` (factor), `heading` (degrees), `drift`
+    /// `height` (metres above the map), `legs` and `bias_drift` (value units), `reading_scale` (factor), `heading` (degrees), `drift`
     /// (metres from the first sample to the newest): tell it the next time, or find out where it comes from.
     #[getter]
     fn misfit(&self) -> Option<(String, f64, f64)> {

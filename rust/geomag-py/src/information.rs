@@ -1,6 +1,6 @@
 //! Position bound over a map. Settings come as JSON from `geomag.blocks`.
 
-use geomag_core::information::{Block, TrackInformation};
+use geomag_core::information::{NodeBlock, TrackInformation};
 use pyo3::prelude::*;
 
 use crate::arrays::{array, shaped, vector};
@@ -39,7 +39,7 @@ pub fn bound_block<'py>(
     let y = vector("block y", y)?;
     let flat: Vec<f64> = values.as_array().iter().copied().collect();
     let bounds =
-        crate::pool::detached(py, || options.bound(&Block { values: &flat, y: &y, columns, spacing, geographic }))?;
+        crate::pool::detached(py, || options.bound(&NodeBlock { values: &flat, y: &y, columns, spacing, geographic }))?;
     let wide = |v: Vec<f32>| shaped(py, v.into_iter().map(f64::from).collect(), &[rows, columns]);
     bounds.into_iter().map(|b| Ok((wide(b.error_m)?, wide(b.samples)?))).collect()
 }

@@ -2,6 +2,7 @@
 
 use geomag_core::error::Error;
 use geomag_core::kalman::{ExtendedKalmanFilter, Innovation, MAX_STATES, Scaling, UnscentedKalmanFilter};
+use geomag_core::scaling_options;
 use numpy::{PyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -10,11 +11,20 @@ use crate::arrays::{array, shaped, vector};
 use crate::error::{PyError, PyRes, invalid};
 use crate::lock::{Shared, Turns};
 use crate::navigator::PyFieldSensor;
+use crate::options::old_name;
 
 type CoreMatrix = nalgebra::DMatrix<f64>;
 
 fn row_major<'py>(py: Python<'py>, m: &CoreMatrix) -> PyRes<Bound<'py, PyAny>> {
     shaped(py, m.transpose().as_slice().to_vec(), &[m.nrows(), m.ncols()])
+}
+
+/// The limit of an update, by its name or by its old one.
+fn limit(py: Python<'_>, max_nis: Option<f64>, gate: Option<f64>) -> PyRes<Option<f64>> {
+    if gate.is_some() {
+        old_name(py, "gate", "max_nis")?;
+    }
+    Ok(max_nis.or(gate))
 }
 
 /// A square matrix: given whole, as its diagonal, or as one number times the identity.
@@ -92,43 +102,6 @@ impl<'py> Model<'py> {
     }
 }
 
-/// The scaled unscented Kalman filter, for any motion and any measurement.
-///
-/// Parameters
-/// ----------
-/// x : array (n,)
-///     Mean of the state.
-/// P : array (n, n)
-///     Its covariance, symmetric positive definite.
-/// alpha, beta, kappa : float
-///     Spread of the sigma points and weight of the centre. alpha = 1 suits fields that bend within the position error;
-///     1e-3 samples the slope at one point.
-///
-/// Notes
-/// -----
-/// `predict(f, Q)` and `update(z, h, R)` take a callable `state -> array`, a matrix for linear models, or (as h) a
-/// `FieldSensor`, which is read without Python. Q and R may be given whole, as a diagonal or as one number, and may be
-/// singular. Carried as a Cholesky factor that is turned by orthogonal transformations: for beta >= alpha**2 the
-/// covariance is positive definite by construction. Sigma points are drawn anew for every call.
-///
-/// Sources: Julier & Uhlmann; Wan & van der Merwe 2000 (scaled transform); Zhao et al. 2012 with its predicted and
-/// innovation covariances mended.
-///
-/// Examples
-/// --------
-/// >>> import numpy as np, geomag
-/// >>> ukf = geomag.UnscentedKalmanFilter([0.0, 1.0], np.diag([4.0, 1.0]))
-/// >>> ukf.predict(lambda x: [x[0] + x[1], x[1]], 0.1)
-/// >>> ukf.update([1.5], lambda x: [x[0]], 0.5)
-/// True
-/// >>> round(ukf.nis, 4)
-/// 0.0446
-#[pyclass(frozen, name = "UnscentedKalmanFilter", module = "geomag")]
-pub struct PyUnscentedKalmanFilter {
-    inner: Shared<UnscentedKalmanFilter>,
-    turns: Turns,
-}
-
 impl PyUnscentedKalmanFilter {
     fn made(filter: UnscentedKalmanFilter) -> Self {
         Self { inner: Shared::new(filter), turns: Turns::default() }
@@ -150,158 +123,202 @@ impl PyUnscentedKalmanFilter {
     }
 }
 
-#[pymethods]
-impl PyUnscentedKalmanFilter {
-    #[new]
-    #[pyo3(signature = (x, P, *, alpha = 1.0, beta = 2.0, kappa = 0.0))]
-    #[allow(non_snake_case)] // P as in every text on filters
-    fn new(x: &Bound<'_, PyAny>, P: &Bound<'_, PyAny>, alpha: f64, beta: f64, kappa: f64) -> PyRes<Self> {
-        let mean = vector("x", x)?;
-        let p = covariance("P", mean.len(), P)?;
-        let inner = UnscentedKalmanFilter::new(&mean, &p, Scaling { alpha, beta, kappa })?;
-        Ok(Self::made(inner))
-    }
+macro_rules! unscented_class {
+    (scaling [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*]) => {
+        /// The scaled unscented Kalman filter, for any motion and any measurement.
+        ///
+        /// Parameters
+        /// ----------
+        /// x : array of shape (n,)
+        ///     Mean of the state.
+        /// P : array of shape (n, n)
+        ///     Its covariance, symmetric positive definite.
+        $(#[doc = row_doc!($name; $python; $($line)+)])*
+        ///
+        /// Notes
+        /// -----
+        /// `predict(f, Q)` and `update(z, h, R)` take a callable `state -> array`, a matrix for linear models, or (as h) a
+        /// `FieldSensor`, which is read without Python. Q and R may be given whole, as a diagonal or as one number, and may be
+        /// singular. Carried as a Cholesky factor that is turned by orthogonal transformations: for beta >= alpha**2 the
+        /// covariance is positive definite by construction. Sigma points are drawn anew for every call.
+        ///
+        /// Sources: Julier & Uhlmann; Wan & van der Merwe 2000 (scaled transform); Zhao et al. 2012 with its predicted and
+        /// innovation covariances mended.
+        ///
+        /// Examples
+        /// --------
+        /// >>> import numpy as np, geomag
+        /// >>> ukf = geomag.UnscentedKalmanFilter([0.0, 1.0], np.diag([4.0, 1.0]))
+        /// >>> ukf.predict(lambda x: [x[0] + x[1], x[1]], 0.1)
+        /// >>> ukf.update([1.5], lambda x: [x[0]], 0.5)
+        /// True
+        /// >>> round(ukf.nis, 4)
+        /// 0.0446
+        #[pyclass(frozen, name = "UnscentedKalmanFilter", module = "geomag")]
+        pub struct PyUnscentedKalmanFilter {
+            inner: Shared<UnscentedKalmanFilter>,
+            turns: Turns,
+        }
 
-    /// Predicts with the model `f` (state (n,) to state (n,)) and the process noise `Q` (n, n).
-    ///
-    /// Raises `NotFiniteError`, `ShapeError`, `NotPositiveDefiniteError`; after an error the filter is as it was.
-    #[allow(non_snake_case)] // Q as in every text on filters
-    fn predict(&self, py: Python<'_>, f: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
-        let n = self.inner.with(py, |f| f.estimate().len());
-        let (model, q) = (Model::new("f", f, n)?, covariance("Q", n, Q)?);
-        self.change(py, |filter| filter.predict::<PyError>(|x, out| model.call(py, "f", x, out), &q))
-    }
+        #[pymethods]
+        impl PyUnscentedKalmanFilter {
+            #[new]
+            #[pyo3(signature = (x, P, *, $($name = $default,)*))]
+            #[allow(non_snake_case)] // P as in every text on filters
+            fn new(x: &Bound<'_, PyAny>, P: &Bound<'_, PyAny>, $($name: py_type!($kind),)*) -> PyRes<Self> {
+                let mean = vector("x", x)?;
+                let p = covariance("P", mean.len(), P)?;
+                let inner = UnscentedKalmanFilter::new(&mean, &p, Scaling { $($name: py_value!(py $kind $name),)* })?;
+                Ok(Self::made(inner))
+            }
 
-    /// Takes in a measurement `z` (m,) with the model `h` (state (n,) to measurement (m,)) and its noise `R` (m, m).
-    ///
-    /// A measurement whose normalised innovation squared exceeds `max_nis` changes nothing. Returns whether it was taken. Raises as
-    /// `predict`.
-    #[pyo3(signature = (z, h, R, *, max_nis = None))]
-    #[allow(non_snake_case)] // R as in every text on filters
-    fn update(
-        &self,
-        py: Python<'_>,
-        z: &Bound<'_, PyAny>,
-        h: &Bound<'_, PyAny>,
-        R: &Bound<'_, PyAny>,
-        max_nis: Option<f64>,
-    ) -> PyRes<bool> {
-        let z = vector("z", z)?;
-        let n = self.inner.with(py, |f| f.estimate().len());
-        let (model, r) = (Model::new("h", h, n)?, covariance("R", z.len(), R)?);
-        self.change(py, |filter| {
-            Ok(filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, max_nis)?.accepted)
-        })
-    }
+            /// Predicts with the model `f` (state (n,) to state (n,)) and the process noise `Q` (n, n).
+            ///
+            /// Raises `NotFiniteError`, `ShapeError`, `NotPositiveDefiniteError`; after an error the filter is as it was.
+            #[allow(non_snake_case)] // Q as in every text on filters
+            fn predict(&self, py: Python<'_>, f: &Bound<'_, PyAny>, Q: &Bound<'_, PyAny>) -> PyRes<()> {
+                let n = self.inner.with(py, |f| f.estimate().len());
+                let (model, q) = (Model::new("f", f, n)?, covariance("Q", n, Q)?);
+                self.change(py, |filter| filter.predict::<PyError>(|x, out| model.call(py, "f", x, out), &q))
+            }
 
-    /// State, (n,).
-    #[getter]
-    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = self.snapshot(py).estimate().mean().to_vec();
-        let shape = [mean.len()];
-        shaped(py, mean, &shape)
-    }
+            /// Takes in a measurement `z` (m,) with the model `h` (state (n,) to measurement (m,)) and its noise `R` (m, m).
+            ///
+            /// A measurement whose normalised innovation squared exceeds `max_nis` changes nothing (`gate` is its old name). Returns whether
+            /// it was taken. Raises as
+            /// `predict`.
+            #[pyo3(signature = (z, h, R, *, max_nis = None, gate = None))]
+            #[allow(non_snake_case)] // R as in every text on filters
+            fn update(
+                &self,
+                py: Python<'_>,
+                z: &Bound<'_, PyAny>,
+                h: &Bound<'_, PyAny>,
+                R: &Bound<'_, PyAny>,
+                max_nis: Option<f64>,
+                gate: Option<f64>,
+            ) -> PyRes<bool> {
+                let max_nis = limit(py, max_nis, gate)?;
+                let z = vector("z", z)?;
+                let n = self.inner.with(py, |f| f.estimate().len());
+                let (model, r) = (Model::new("h", h, n)?, covariance("R", z.len(), R)?);
+                self.change(py, |filter| {
+                    Ok(filter.update::<PyError>(&z, |x, out| model.call(py, "h", x, out), &r, max_nis)?.accepted)
+                })
+            }
 
-    #[setter]
-    fn set_x(&self, py: Python<'_>, x: &Bound<'_, PyAny>) -> PyRes<()> {
-        let mean = vector("x", x)?;
-        self.change(py, |filter| {
-            let p = filter.estimate().covariance();
-            Ok(filter.set(&mean, p.as_slice())?)
-        })
-    }
+            /// State, (n,).
+            #[getter]
+            fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                let mean = self.snapshot(py).estimate().mean().to_vec();
+                let shape = [mean.len()];
+                shaped(py, mean, &shape)
+            }
 
-    /// Covariance of the state, (n, n).
-    #[getter(P)]
-    fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        row_major(py, &self.snapshot(py).estimate().covariance())
-    }
+            #[setter]
+            fn set_x(&self, py: Python<'_>, x: &Bound<'_, PyAny>) -> PyRes<()> {
+                let mean = vector("x", x)?;
+                self.change(py, |filter| {
+                    let p = filter.estimate().covariance();
+                    Ok(filter.set(&mean, p.as_slice())?)
+                })
+            }
 
-    #[setter(P)]
-    fn set_covariance(&self, py: Python<'_>, p: &Bound<'_, PyAny>) -> PyRes<()> {
-        let p = covariance("P", self.inner.with(py, |f| f.estimate().len()), p)?;
-        self.change(py, |filter| {
-            let mean = filter.estimate().mean().to_vec();
-            Ok(filter.set(&mean, &p)?)
-        })
-    }
+            /// Covariance of the state, (n, n).
+            #[getter(P)]
+            fn covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                row_major(py, &self.snapshot(py).estimate().covariance())
+            }
 
-    /// Spread of the sigma points.
-    #[getter]
-    fn alpha(&self, py: Python<'_>) -> f64 {
-        self.snapshot(py).scaling().alpha
-    }
+            #[setter(P)]
+            fn set_covariance(&self, py: Python<'_>, p: &Bound<'_, PyAny>) -> PyRes<()> {
+                let p = covariance("P", self.inner.with(py, |f| f.estimate().len()), p)?;
+                self.change(py, |filter| {
+                    let mean = filter.estimate().mean().to_vec();
+                    Ok(filter.set(&mean, &p)?)
+                })
+            }
 
-    /// Prior knowledge of the distribution; 2 for a normal one.
-    #[getter]
-    fn beta(&self, py: Python<'_>) -> f64 {
-        self.snapshot(py).scaling().beta
-    }
+            /// Spread of the sigma points.
+            #[getter]
+            fn alpha(&self, py: Python<'_>) -> f64 {
+                self.snapshot(py).scaling().alpha
+            }
 
-    /// Secondary scaling of the sigma points.
-    #[getter]
-    fn kappa(&self, py: Python<'_>) -> f64 {
-        self.snapshot(py).scaling().kappa
-    }
+            /// Prior knowledge of the distribution; 2 for a normal one.
+            #[getter]
+            fn beta(&self, py: Python<'_>) -> f64 {
+                self.snapshot(py).scaling().beta
+            }
 
-    /// Normalised innovation squared of the newest update; None before the first.
-    #[getter]
-    fn nis(&self, py: Python<'_>) -> Option<f64> {
-        self.snapshot(py).innovation().map(|i| i.nis)
-    }
+            /// Secondary scaling of the sigma points.
+            #[getter]
+            fn kappa(&self, py: Python<'_>) -> f64 {
+                self.snapshot(py).scaling().kappa
+            }
 
-    /// Innovation of the last update, (m,); none before one.
-    #[getter]
-    fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        residual(py, self.snapshot(py).innovation())
-    }
+            /// Normalised innovation squared of the newest update; None before the first.
+            #[getter]
+            fn nis(&self, py: Python<'_>) -> Option<f64> {
+                self.snapshot(py).innovation().map(|i| i.nis)
+            }
 
-    /// Covariance of the last innovation, (m, m); none before one.
-    #[getter(S)]
-    fn innovation_covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.snapshot(py).innovation().map(|i| row_major(py, &i.covariance)).transpose()
-    }
+            /// Innovation of the last update, (m,); none before one.
+            #[getter]
+            fn innovation<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+                residual(py, self.snapshot(py).innovation())
+            }
 
-    /// Gain of the last update, (n, m); none before one.
-    #[getter(K)]
-    fn gain<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.snapshot(py).innovation().map(|i| row_major(py, &i.gain)).transpose()
-    }
+            /// Covariance of the last innovation, (m, m); none before one.
+            #[getter(S)]
+            fn innovation_covariance<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+                self.snapshot(py).innovation().map(|i| row_major(py, &i.covariance)).transpose()
+            }
 
-    /// How often a pivot had to be raised to keep P positive definite.
-    #[getter]
-    fn regularisations(&self, py: Python<'_>) -> u64 {
-        self.snapshot(py).estimate().regularisations()
-    }
+            /// Gain of the last update, (n, m); none before one.
+            #[getter(K)]
+            fn gain<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
+                self.snapshot(py).innovation().map(|i| row_major(py, &i.gain)).transpose()
+            }
 
-    /// Sigma points of the present estimate, (2 n + 1, n).
-    fn sigma_points<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        row_major(py, &self.snapshot(py).sigma_points().transpose())
-    }
+            /// How often a pivot had to be raised to keep P positive definite.
+            #[getter]
+            fn regularisations(&self, py: Python<'_>) -> u64 {
+                self.snapshot(py).estimate().regularisations()
+            }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let bytes = geomag_core::state::save(&slf.get().snapshot(slf.py()))?;
-        Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
-    }
+            /// Sigma points of the present estimate, (2 n + 1, n).
+            fn sigma_points<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                row_major(py, &self.snapshot(py).sigma_points().transpose())
+            }
 
-    #[staticmethod]
-    fn _restore(bytes: &[u8]) -> PyRes<Self> {
-        Ok(Self::made(geomag_core::state::load(bytes)?))
-    }
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+                let bytes = geomag_core::state::save(&slf.get().snapshot(slf.py()))?;
+                Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
+            }
 
-    fn __repr__(&self, py: Python<'_>) -> String {
-        let filter = self.snapshot(py);
-        let s = filter.scaling();
-        let nis = filter.innovation().map_or_else(|| "no update yet".to_owned(), |i| format!("NIS {:.3}", i.nis));
-        format!(
-            "UnscentedKalmanFilter({} states, alpha {}, beta {}, kappa {}, {nis})",
-            filter.estimate().len(),
-            s.alpha,
-            s.beta,
-            s.kappa
-        )
-    }
+            #[staticmethod]
+            fn _restore(bytes: &[u8]) -> PyRes<Self> {
+                Ok(Self::made(geomag_core::state::load(bytes)?))
+            }
+
+            fn __repr__(&self, py: Python<'_>) -> String {
+                let filter = self.snapshot(py);
+                let s = filter.scaling();
+                let nis = filter.innovation().map_or_else(|| "no update yet".to_owned(), |i| format!("NIS {:.3}", i.nis));
+                format!(
+                    "UnscentedKalmanFilter({} states, alpha {}, beta {}, kappa {}, {nis})",
+                    filter.estimate().len(),
+                    s.alpha,
+                    s.beta,
+                    s.kappa
+                )
+            }
+        }
+    };
 }
+
+scaling_options!(unscented_class);
 
 fn residual<'py>(py: Python<'py>, innovation: Option<&Innovation>) -> PyRes<Option<Bound<'py, PyAny>>> {
     innovation.map(|i| shaped(py, i.residual.as_slice().to_vec(), &[i.residual.len()])).transpose()
@@ -362,7 +379,7 @@ impl PyExtendedKalmanFilter {
     /// Takes in a measurement `z` (m,) where `expected` (m,) was to be read, `H` (m, n) its derivative, `R` (m, m) its noise.
     ///
     /// `max_nis` and the answer are those of `UnscentedKalmanFilter.update`.
-    #[pyo3(signature = (z, expected, H, R, *, max_nis = None))]
+    #[pyo3(signature = (z, expected, H, R, *, max_nis = None, gate = None))]
     #[allow(non_snake_case)] // H, R as in every text on filters
     #[allow(clippy::too_many_arguments)] // one each
     fn update(
@@ -373,7 +390,9 @@ impl PyExtendedKalmanFilter {
         H: &Bound<'_, PyAny>,
         R: &Bound<'_, PyAny>,
         max_nis: Option<f64>,
+        gate: Option<f64>,
     ) -> PyRes<bool> {
+        let max_nis = limit(py, max_nis, gate)?;
         let (z, expected) = (vector("z", z)?, vector("expected", expected)?);
         let (h, _, _) = crate::arrays::matrix("H", H)?;
         let r = covariance("R", z.len(), R)?;

@@ -82,10 +82,10 @@ mod _geomag {
     use crate::main_field::PyMainFieldModel;
     #[pymodule_export]
     use crate::map_navigator::{
-        PyInsModel, PyMatcherPlan, PyNavigationStep, PyNavigator, py_displacements_m, py_navigate, py_radii_m,
+        PyInsModel, PyMatcherPlan, PyNavigator, PyNavigatorStep, py_displacements_m, py_navigate, py_radii_m,
     };
     #[pymodule_export]
-    use crate::navigator::{PyFieldNavigator, PyFieldSensor, PyNavigatorStep};
+    use crate::navigator::{PyFieldNavigator, PyFieldNavigatorStep, PyFieldSensor};
     #[pymodule_export]
     use crate::posterior::{
         PyAcceptance, PyInsPrior, PyPosteriorMatcher, PyPosteriorStep, PyPrediction, PySearchBox, match_posterior,

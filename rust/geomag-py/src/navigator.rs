@@ -5,9 +5,12 @@ use std::sync::Arc;
 use geomag_core::error::{Error, require_finite};
 use geomag_core::grid::Interpolation;
 use geomag_core::kalman::Scaling;
-use geomag_core::navigation::field_navigator::{FieldNavigator, Method, NavigatorOptions, NavigatorStep};
+use geomag_core::navigation::field_navigator::{
+    FieldNavigator, FieldNavigatorMethod, FieldNavigatorOptions, FieldNavigatorStep, GATE,
+};
 use geomag_core::navigation::sensing::{Sensing, Sensor};
 use geomag_core::stack::check_height;
+use geomag_core::{field_navigator_options, scaling_options};
 use numpy::{PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
@@ -17,6 +20,7 @@ use crate::error::{PyRes, invalid};
 use crate::grid::{field, interpolation};
 use crate::harmonic::{PyHarmonicMap, PyHarmonicModel, main_vector, quantity};
 use crate::lock::Shared;
+use crate::options::old_name;
 use crate::stack::level_at;
 
 /// What a sensor reads of a field at a place.
@@ -198,13 +202,13 @@ impl PyFieldSensor {
 ///
 /// A step whose `outcome` is not `updated` is dead reckoning; after `diverged` the position is not to be believed, and a
 /// matcher is needed for a new start.
-#[pyclass(frozen, name = "NavigatorStep", module = "geomag")]
-pub struct PyNavigatorStep {
-    inner: NavigatorStep,
+#[pyclass(frozen, name = "FieldNavigatorStep", module = "geomag")]
+pub struct PyFieldNavigatorStep {
+    inner: FieldNavigatorStep,
 }
 
 #[pymethods]
-impl PyNavigatorStep {
+impl PyFieldNavigatorStep {
     /// East or longitude, map units.
     #[getter]
     fn x(&self) -> f64 {
@@ -250,7 +254,7 @@ impl PyNavigatorStep {
     fn __repr__(&self) -> String {
         let s = &self.inner;
         format!(
-            "NavigatorStep({}, x {:.6}, y {:.6}, sigma {:.2} m east, {:.2} m north, NIS {}{})",
+            "FieldNavigatorStep({}, x {:.6}, y {:.6}, sigma {:.2} m east, {:.2} m north, NIS {}{})",
             s.outcome.as_str(),
             s.x,
             s.y,
@@ -262,58 +266,6 @@ impl PyNavigatorStep {
     }
 }
 
-/// Navigates on a field without an INS: speed, course and a field sensor.
-///
-/// Parameters
-/// ----------
-/// model : RectangularHarmonicModel, GridMap, MapStack, HarmonicMap or FieldSensor
-///     The field, or what is read of it.
-/// start : (float, float)
-///     Start (x, y): metres east and north, or degrees on geographic fields.
-/// covariance_m2 : float, (2,) or (2, 2)
-///     Covariance of the start, square metres, east-north.
-/// reading_sigma : float or (3,)
-///     Standard deviation of a reading, field unit.
-/// position_noise_m2_s : float
-///     Process noise of each coordinate, square metres a second.
-/// speed_sigma_m_s, heading_sigma_deg, bias_sigma : float
-///     Standard deviations of constant errors of speed, course and sensor; a state is added for each that is not zero.
-/// speed_walk, heading_walk_deg, bias_walk : float
-///     Their growth in the square root of a second.
-/// gate : float or None
-///     Probability within which a reading must lie to be used.
-/// field_sigma : bool
-///     Whether the field's own standard deviation is added to that of the reading.
-/// method : {'unscented', 'extended'}
-///     Sigma points, or the analytic gradient.
-/// alpha, beta, kappa : float
-///     Sigma points.
-/// reading, main_field, down_m, height_m, interpolation
-///     As in `FieldSensor`.
-///
-/// Notes
-/// -----
-/// For a slow vehicle in a field steep enough for its sensor; `bound` says beforehand what can be reached. Not for a start
-/// that is uncertain by more than a fraction of the field's wavelength: take a matcher first.
-///
-/// Source: Zhao, Huang, Wang, Liu 2012, doi 10.3969/j.issn.1006-1576.2012.12.010.
-///
-/// Examples
-/// --------
-/// >>> import numpy as np, geomag
-/// >>> x = np.arange(0.0, 1000.0, 20.0)
-/// >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
-/// >>> nav = geomag.FieldNavigator(grid, start=(310.0, 495.0), covariance_m2=100.0, reading_sigma=1.0)
-/// >>> for k in range(1, 60):
-/// ...     step = nav.step(1.0, 5.0, 90.0, grid.sample(300.0 + 5 * k, 500.0, interpolation="bicubic"))
-/// >>> bool(np.hypot(step.x - 595.0, step.y - 500.0) < 1.0)
-/// True
-#[pyclass(frozen, name = "FieldNavigator", module = "geomag")]
-pub struct PyFieldNavigator {
-    inner: Shared<FieldNavigator>,
-    sensor: Py<PyFieldSensor>,
-}
-
 fn planar(what: &str, object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
     if let Ok((v, 2, 2)) = matrix(what, object) {
         return Ok([[v[0], v[1]], [v[2], v[3]]]);
@@ -322,222 +274,278 @@ fn planar(what: &str, object: &Bound<'_, PyAny>) -> PyRes<[[f64; 2]; 2]> {
     Ok([[east, 0.0], [0.0, north]])
 }
 
-#[pymethods]
-impl PyFieldNavigator {
-    #[new]
-    #[pyo3(signature = (model, *, start, covariance_m2, reading_sigma, position_noise_m2_s = 0.01,
-                        speed_sigma_m_s = 0.0, speed_walk = 0.0, heading_sigma_deg = 0.0, heading_walk_deg = 0.0,
-                        bias_sigma = 0.0, bias_walk = 0.0, gate = Some(0.9999), field_sigma = true,
-                        method = "unscented", alpha = 1.0, beta = 2.0, kappa = 0.0, reading = None,
-                        main_field = None, down_m = None, height_m = None, interpolation = "bicubic"))]
-    #[allow(clippy::too_many_arguments)] // one each, keyword-only
-    fn new(
-        py: Python<'_>,
-        model: &Bound<'_, PyAny>,
-        start: &Bound<'_, PyAny>,
-        covariance_m2: &Bound<'_, PyAny>,
-        reading_sigma: &Bound<'_, PyAny>,
-        position_noise_m2_s: f64,
-        speed_sigma_m_s: f64,
-        speed_walk: f64,
-        heading_sigma_deg: f64,
-        heading_walk_deg: f64,
-        bias_sigma: f64,
-        bias_walk: f64,
-        gate: Option<f64>,
-        field_sigma: bool,
-        method: &str,
-        alpha: f64,
-        beta: f64,
-        kappa: f64,
-        reading: Option<&str>,
-        main_field: Option<&Bound<'_, PyAny>>,
-        down_m: Option<f64>,
-        height_m: Option<f64>,
-        interpolation: &str,
-    ) -> PyRes<Self> {
-        let sensor = if let Ok(sensor) = model.cast::<PyFieldSensor>() {
-            if reading.is_some() || main_field.is_some() || down_m.is_some() || height_m.is_some() {
-                let what = "reading, main_field, down_m, height_m";
-                return Err(invalid(what, "none of them with a FieldSensor, which has its own", "one"));
-            }
-            sensor.clone().unbind()
-        } else {
-            let main_field = main_vector(main_field)?;
-            Py::new(py, PyFieldSensor::make(model, reading, main_field, down_m, height_m, interpolation)?)?
-        };
-        let method = match method {
-            "unscented" => Method::Unscented,
-            "extended" => Method::Extended,
-            other => return Err(invalid("method", "'unscented' or 'extended'", format!("'{other}'"))),
-        };
-        let options = NavigatorOptions {
-            start: pair("start", start)?,
-            covariance_m2: planar("covariance_m2", covariance_m2)?,
-            position_noise_m2_s,
-            speed_sigma_m_s,
-            speed_walk,
-            heading_sigma_deg,
-            heading_walk_deg,
-            bias_sigma,
-            bias_walk,
-            reading_sigma: vector("reading_sigma", reading_sigma)?,
-            field_sigma,
-            gate,
-            method,
-            scaling: Scaling { alpha, beta, kappa },
-        };
-        let inner = FieldNavigator::new(sensor.get().inner.clone(), options)?;
-        Ok(Self { inner: Shared::new(inner), sensor })
-    }
-
-    /// Moves on by `dt_s` seconds with the indicated speed (m/s) and course (degrees, clockwise from north) and takes in a
-    /// reading, where there is one. Numbers of it that are NaN are left out.
-    ///
-    /// Raises `NotFiniteError`, `InvalidInputError` (time running backwards), `ShapeError` (another number of components than the
-    /// sensor has), `NotPositiveDefiniteError`. After an error nothing has moved.
-    #[pyo3(signature = (dt_s, speed_m_s, course_deg, reading = None))]
-    fn step(
-        &self,
-        py: Python<'_>,
-        dt_s: f64,
-        speed_m_s: f64,
-        course_deg: f64,
-        reading: Option<&Bound<'_, PyAny>>,
-    ) -> PyRes<PyNavigatorStep> {
-        let reading = reading.map(numbers).transpose()?;
-        let inner = self.inner.with(py, |n| n.step(dt_s, speed_m_s, course_deg, reading.as_deref()))?;
-        Ok(PyNavigatorStep { inner })
-    }
-
-    /// Cramer-Rao bound of the position along a true `path`, (n, 2) map coordinates, one a step: (n, 2, 2), square metres,
-    /// east-north: what no unbiased filter with these noises can beat.
-    ///
-    /// Starts from the present covariance; where the field is unknown there is no reading. Source: Tichavsky, Muravchik and Nehorai
-    /// 1998, doi 10.1109/78.668800. Raises as `step`.
-    #[pyo3(signature = (path, dt_s, speed_m_s, course_deg))]
-    fn bound<'py>(
-        &self,
-        py: Python<'py>,
-        path: &Bound<'py, PyAny>,
-        dt_s: f64,
-        speed_m_s: f64,
-        course_deg: f64,
-    ) -> PyRes<Bound<'py, PyAny>> {
-        let (values, rows, columns) = matrix("path", path)?;
-        if columns != 2 {
-            return Err(Error::shape("path", "(n, 2): x, y", format!("({rows}, {columns})")).into());
+macro_rules! field_navigator_class {
+    (
+        scaling [$(($of:ident: $of_kind:ident = $of_default:tt; $of_python:literal; $($of_line:literal)+))*]
+        options [$(($name:ident: $kind:ident = $default:tt; $python:literal; $($line:literal)+))*]
+    ) => {
+        /// Navigates on a field without an INS: speed, course and a field sensor.
+        ///
+        /// Parameters
+        /// ----------
+        /// model : RectangularHarmonicModel, GridMap, MapStack, HarmonicMap or FieldSensor
+        ///     The field, or what is read of it.
+        /// start : (float, float)
+        ///     Start (x, y): metres east and north, or degrees on geographic fields.
+        /// covariance_m2 : float, array of shape (2,) or (2, 2)
+        ///     Covariance of the start, square metres, east-north.
+        /// reading_sigma : float or array of shape (3,)
+        ///     Standard deviation of a reading, field unit.
+        /// gate : float, optional
+        ///     Probability within which a reading must lie to be used; None uses all.
+        $(#[doc = row_doc!($name; $python; $($line)+)])*
+        $(#[doc = row_doc!($of; $of_python; $($of_line)+)])*
+        /// speed_walk, heading_walk_deg, bias_walk : float, optional
+        ///     Old names of the walks, which go on working.
+        /// reading : reading of FieldSensor, optional
+        ///     What is measured, as in `FieldSensor`; so are the next four.
+        /// main_field : array of shape (3,), optional
+        ///     Main field.
+        /// down_m, height_m : float, optional
+        ///     Level.
+        /// interpolation : {'bilinear', 'bicubic'}
+        ///     How a grid is read.
+        ///
+        /// Notes
+        /// -----
+        /// For a slow vehicle in a field steep enough for its sensor; `bound` says beforehand what can be reached. Not for a start
+        /// that is uncertain by more than a fraction of the field's wavelength: take a matcher first.
+        ///
+        /// Source: Zhao, Huang, Wang, Liu 2012, doi 10.3969/j.issn.1006-1576.2012.12.010.
+        ///
+        /// Examples
+        /// --------
+        /// >>> import numpy as np, geomag
+        /// >>> x = np.arange(0.0, 1000.0, 20.0)
+        /// >>> grid = geomag.GridMap(90 * np.sin(x / 140)[None, :] + 80 * np.cos(x / 120)[:, None], x, x)
+        /// >>> nav = geomag.FieldNavigator(grid, start=(310.0, 495.0), covariance_m2=100.0, reading_sigma=1.0)
+        /// >>> for k in range(1, 60):
+        /// ...     step = nav.step(1.0, 5.0, 90.0, grid.sample(300.0 + 5 * k, 500.0, interpolation="bicubic"))
+        /// >>> bool(np.hypot(step.x - 595.0, step.y - 500.0) < 1.0)
+        /// True
+        #[pyclass(frozen, name = "FieldNavigator", module = "geomag")]
+        pub struct PyFieldNavigator {
+            inner: Shared<FieldNavigator>,
+            sensor: Py<PyFieldSensor>,
         }
-        let navigator = self.inner.with(py, |n| n.clone());
-        let bounds =
-            crate::pool::detached(py, || navigator.bound(values.as_chunks::<2>().0, dt_s, speed_m_s, course_deg))?;
-        shaped(py, bounds.as_flattened().as_flattened().to_vec(), &[rows, 2, 2])
-    }
 
-    /// Estimated place (x, y), map coordinates.
-    #[getter]
-    fn position(&self, py: Python<'_>) -> (f64, f64) {
-        self.inner.with(py, |n| n.position()).into()
-    }
+        #[pymethods]
+        impl PyFieldNavigator {
+            #[new]
+            #[pyo3(signature = (model, *, start, covariance_m2, reading_sigma, gate = Some(GATE), $($name = $default,)* $($of = $of_default,)*
+                                reading = None, main_field = None, down_m = None, height_m = None, interpolation = "bicubic",
+                                speed_walk = None, heading_walk_deg = None, bias_walk = None))]
+            #[allow(clippy::too_many_arguments)] // one each, keyword-only
+            fn new(
+                py: Python<'_>,
+                model: &Bound<'_, PyAny>,
+                start: &Bound<'_, PyAny>,
+                covariance_m2: &Bound<'_, PyAny>,
+                reading_sigma: &Bound<'_, PyAny>,
+                gate: Option<f64>,
+                $($name: py_type!($kind),)*
+                $($of: py_type!($of_kind),)*
+                reading: Option<&str>,
+                main_field: Option<&Bound<'_, PyAny>>,
+                down_m: Option<f64>,
+                height_m: Option<f64>,
+                interpolation: &str,
+                speed_walk: Option<f64>,
+                heading_walk_deg: Option<f64>,
+                bias_walk: Option<f64>,
+            ) -> PyRes<Self> {
+                let sensor = if let Ok(sensor) = model.cast::<PyFieldSensor>() {
+                    if reading.is_some() || main_field.is_some() || down_m.is_some() || height_m.is_some() {
+                        let what = "reading, main_field, down_m, height_m";
+                        return Err(invalid(what, "none of them with a FieldSensor, which has its own", "one"));
+                    }
+                    sensor.clone().unbind()
+                } else {
+                    let main_field = main_vector(main_field)?;
+                    Py::new(py, PyFieldSensor::make(model, reading, main_field, down_m, height_m, interpolation)?)?
+                };
+                let mut options = FieldNavigatorOptions {
+                    start: pair("start", start)?,
+                    covariance_m2: planar("covariance_m2", covariance_m2)?,
+                    reading_sigma: vector("reading_sigma", reading_sigma)?,
+                    gate,
+                    $($name: py_value!(py $kind $name),)*
+                    scaling: Scaling { $($of: py_value!(py $of_kind $of),)* },
+                };
+                for (old, given, new, value) in [
+                    ("speed_walk", speed_walk, "speed_walk_m_s_sqrt_s", &mut options.speed_walk_m_s_sqrt_s),
+                    ("heading_walk_deg", heading_walk_deg, "heading_walk_deg_sqrt_s", &mut options.heading_walk_deg_sqrt_s),
+                    ("bias_walk", bias_walk, "bias_walk_sqrt_s", &mut options.bias_walk_sqrt_s),
+                ] {
+                    if let Some(given) = given {
+                        old_name(py, old, new)?;
+                        *value = given;
+                    }
+                }
+                let inner = FieldNavigator::new(sensor.get().inner.clone(), options)?;
+                Ok(Self { inner: Shared::new(inner), sensor })
+            }
 
-    /// Covariance of the position, square metres, east-north, (2, 2).
-    #[getter]
-    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.with(py, |n| n.covariance_m2()).as_flattened().to_vec(), &[2, 2])
-    }
+            /// Moves on by `dt_s` seconds with the indicated speed (m/s) and course (degrees, clockwise from north) and takes in a
+            /// reading, where there is one. Numbers of it that are NaN are left out.
+            ///
+            /// Raises `NotFiniteError`, `InvalidInputError` (time running backwards), `ShapeError` (another number of components than the
+            /// sensor has), `NotPositiveDefiniteError`. After an error nothing has moved.
+            #[pyo3(signature = (dt_s, speed_m_s, course_deg, reading = None))]
+            fn step(
+                &self,
+                py: Python<'_>,
+                dt_s: f64,
+                speed_m_s: f64,
+                course_deg: f64,
+                reading: Option<&Bound<'_, PyAny>>,
+            ) -> PyRes<PyFieldNavigatorStep> {
+                let reading = reading.map(numbers).transpose()?;
+                let inner = self.inner.with(py, |n| n.step(dt_s, speed_m_s, course_deg, reading.as_deref()))?;
+                Ok(PyFieldNavigatorStep { inner })
+            }
 
-    /// State, (n,): metres east and north of the start first.
-    #[getter]
-    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let mean = self.inner.with(py, |n| n.estimate().mean().to_vec());
-        let shape = [mean.len()];
-        shaped(py, mean, &shape)
-    }
+            /// Cramer-Rao bound of the position along a true `path`, (n, 2) map coordinates, one a step: (n, 2, 2), square metres,
+            /// east-north: what no unbiased filter with these noises can beat.
+            ///
+            /// Starts from the present covariance; where the field is unknown there is no reading. Source: Tichavsky, Muravchik and Nehorai
+            /// 1998, doi 10.1109/78.668800. Raises as `step`.
+            #[pyo3(signature = (path, dt_s, speed_m_s, course_deg))]
+            fn bound<'py>(
+                &self,
+                py: Python<'py>,
+                path: &Bound<'py, PyAny>,
+                dt_s: f64,
+                speed_m_s: f64,
+                course_deg: f64,
+            ) -> PyRes<Bound<'py, PyAny>> {
+                let (values, rows, columns) = matrix("path", path)?;
+                if columns != 2 {
+                    return Err(Error::shape("path", "(n, 2): x, y", format!("({rows}, {columns})")).into());
+                }
+                let navigator = self.inner.with(py, |n| n.clone());
+                let bounds =
+                    crate::pool::detached(py, || navigator.bound(values.as_chunks::<2>().0, dt_s, speed_m_s, course_deg))?;
+                shaped(py, bounds.as_flattened().as_flattened().to_vec(), &[rows, 2, 2])
+            }
 
-    /// Covariance of the state, (n, n).
-    #[getter(P)]
-    fn state_covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        let p = self.inner.with(py, |n| n.estimate().covariance());
-        shaped(py, p.as_slice().to_vec(), &[p.nrows(), p.ncols()])
-    }
+            /// Estimated place (x, y), map coordinates.
+            #[getter]
+            fn position(&self, py: Python<'_>) -> (f64, f64) {
+                self.inner.with(py, |n| n.position()).into()
+            }
 
-    /// (value, standard deviation) of the speed's error, m/s; None where it is not estimated.
-    #[getter]
-    fn speed_error_m_s(&self, py: Python<'_>) -> Option<(f64, f64)> {
-        self.inner.with(py, |n| n.speed_error_m_s())
-    }
+            /// Covariance of the position, square metres, east-north, (2, 2).
+            #[getter]
+            fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                shaped(py, self.inner.with(py, |n| n.covariance_m2()).as_flattened().to_vec(), &[2, 2])
+            }
 
-    /// (value, standard deviation) of the course's error, degrees; None where it is not estimated.
-    #[getter]
-    fn heading_error_deg(&self, py: Python<'_>) -> Option<(f64, f64)> {
-        self.inner.with(py, |n| n.heading_error_deg())
-    }
+            /// State, (n,): metres east and north of the start first.
+            #[getter]
+            fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                let mean = self.inner.with(py, |n| n.estimate().mean().to_vec());
+                let shape = [mean.len()];
+                shaped(py, mean, &shape)
+            }
 
-    /// [(value, standard deviation), ...] of the sensor's constant error; empty where it is not estimated.
-    #[getter]
-    fn bias(&self, py: Python<'_>) -> Vec<(f64, f64)> {
-        self.inner.with(py, |n| n.bias())
-    }
+            /// Covariance of the state, (n, n).
+            #[getter(P)]
+            fn state_covariance<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
+                let p = self.inner.with(py, |n| n.estimate().covariance());
+                shaped(py, p.as_slice().to_vec(), &[p.nrows(), p.ncols()])
+            }
 
-    /// Whether the innovations say that the filter has lost its way.
-    #[getter]
-    fn diverged(&self, py: Python<'_>) -> bool {
-        self.inner.with(py, |n| n.diverged())
-    }
+            /// (value, standard deviation) of the speed's error, m/s; None where it is not estimated.
+            #[getter]
+            fn speed_error_m_s(&self, py: Python<'_>) -> Option<(f64, f64)> {
+                self.inner.with(py, |n| n.speed_error_m_s())
+            }
 
-    /// Normalised innovation squared of the last reading; none before one.
-    #[getter]
-    fn nis(&self, py: Python<'_>) -> Option<f64> {
-        self.inner.with(py, |n| n.innovation().map(|i| i.nis))
-    }
+            /// (value, standard deviation) of the course's error, degrees; None where it is not estimated.
+            #[getter]
+            fn heading_error_deg(&self, py: Python<'_>) -> Option<(f64, f64)> {
+                self.inner.with(py, |n| n.heading_error_deg())
+            }
 
-    /// Time since the start, seconds.
-    #[getter]
-    fn time_s(&self, py: Python<'_>) -> f64 {
-        self.inner.with(py, |n| n.time_s())
-    }
+            /// [(value, standard deviation), ...] of the sensor's constant error; empty where it is not estimated.
+            #[getter]
+            fn bias(&self, py: Python<'_>) -> Vec<(f64, f64)> {
+                self.inner.with(py, |n| n.bias())
+            }
 
-    /// Steps taken.
-    #[getter]
-    fn n_steps(&self, py: Python<'_>) -> u64 {
-        self.inner.with(py, |n| n.steps())
-    }
+            /// Whether the innovations say that the filter has lost its way.
+            #[getter]
+            fn diverged(&self, py: Python<'_>) -> bool {
+                self.inner.with(py, |n| n.diverged())
+            }
 
-    /// How often a pivot had to be raised to keep the covariance positive definite.
-    #[getter]
-    fn regularisations(&self, py: Python<'_>) -> u64 {
-        self.inner.with(py, |n| n.estimate().regularisations())
-    }
+            /// Normalised innovation squared of the last reading; none before one.
+            #[getter]
+            fn nis(&self, py: Python<'_>) -> Option<f64> {
+                self.inner.with(py, |n| n.innovation().map(|i| i.nis))
+            }
 
-    /// What reads the field.
-    #[getter]
-    fn sensor(&self, py: Python<'_>) -> Py<PyFieldSensor> {
-        self.sensor.clone_ref(py)
-    }
+            /// Time since the start, seconds.
+            #[getter]
+            fn time_s(&self, py: Python<'_>) -> f64 {
+                self.inner.with(py, |n| n.time_s())
+            }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |n| n.save())?);
-        Ok((slf.get_type().getattr("_restore")?, (slf.get().sensor.clone_ref(py), bytes).into_pyobject(py)?))
-    }
+            /// Steps taken.
+            #[getter]
+            fn n_steps(&self, py: Python<'_>) -> u64 {
+                self.inner.with(py, |n| n.steps())
+            }
 
-    #[staticmethod]
-    fn _restore(sensor: Py<PyFieldSensor>, bytes: &[u8]) -> PyRes<Self> {
-        let inner = FieldNavigator::restore(sensor.get().inner.clone(), bytes)?;
-        Ok(Self { inner: Shared::new(inner), sensor })
-    }
+            /// How often a pivot had to be raised to keep the covariance positive definite.
+            #[getter]
+            fn regularisations(&self, py: Python<'_>) -> u64 {
+                self.inner.with(py, |n| n.estimate().regularisations())
+            }
 
-    fn __repr__(&self, py: Python<'_>) -> String {
-        self.inner.with(py, |n| {
-            let ([x, y], [[east, _], [_, north]]) = (n.position(), n.covariance_m2());
-            format!(
-                "FieldNavigator({} steps, x {x:.6}, y {y:.6}, sigma {:.2} m east, {:.2} m north{})",
-                n.steps(),
-                east.sqrt(),
-                north.sqrt(),
-                if n.diverged() { ", diverged" } else { "" }
-            )
-        })
+            /// What reads the field.
+            #[getter]
+            fn sensor(&self, py: Python<'_>) -> Py<PyFieldSensor> {
+                self.sensor.clone_ref(py)
+            }
+
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+                let py = slf.py();
+                let bytes = PyBytes::new(py, &slf.get().inner.with(py, |n| n.save())?);
+                Ok((slf.get_type().getattr("_restore")?, (slf.get().sensor.clone_ref(py), bytes).into_pyobject(py)?))
+            }
+
+            #[staticmethod]
+            fn _restore(sensor: Py<PyFieldSensor>, bytes: &[u8]) -> PyRes<Self> {
+                let inner = FieldNavigator::restore(sensor.get().inner.clone(), bytes)?;
+                Ok(Self { inner: Shared::new(inner), sensor })
+            }
+
+            fn __repr__(&self, py: Python<'_>) -> String {
+                self.inner.with(py, |n| {
+                    let ([x, y], [[east, _], [_, north]]) = (n.position(), n.covariance_m2());
+                    format!(
+                        "FieldNavigator({} steps, x {x:.6}, y {y:.6}, sigma {:.2} m east, {:.2} m north{})",
+                        n.steps(),
+                        east.sqrt(),
+                        north.sqrt(),
+                        if n.diverged() { ", diverged" } else { "" }
+                    )
+                })
+            }
+        }
+    };
+}
+
+scaling_options!(field_navigator_options field_navigator_class);
+
+/// A filter by its name.
+pub fn filter(name: &str) -> PyRes<FieldNavigatorMethod> {
+    match name {
+        "unscented" => Ok(FieldNavigatorMethod::Unscented),
+        "extended" => Ok(FieldNavigatorMethod::Extended),
+        other => Err(invalid("method", "'unscented' or 'extended'", format!("'{other}'"))),
     }
 }
 

@@ -71,6 +71,7 @@ macro_rules! py_type {
     (pivot) => { &str };
     (unknown) => { &str };
     (transform) => { &str };
+    (field_method) => { &str };
 }
 
 /// The type that Python is answered with.
@@ -119,6 +120,9 @@ macro_rules! py_value {
     };
     ($py:ident unknown $name:ident) => {
         $crate::iema::unknown($name)?
+    };
+    ($py:ident field_method $name:ident) => {
+        $crate::navigator::filter($name)?
     };
     ($py:ident transform $name:ident) => {
         $crate::contour::transform_kind($name)?

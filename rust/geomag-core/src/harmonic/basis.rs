@@ -82,7 +82,7 @@ pub(crate) fn harmonics(angle: f64, order: usize, cosines: &mut Vec<f64>, sines:
 
 /// Scratch space for [`Basis::project`].
 #[derive(Debug, Default, Clone)]
-pub(crate) struct Scratch {
+pub(crate) struct BasisScratch {
     cos_x: Vec<f64>,
     sin_x: Vec<f64>,
     cos_y: Vec<f64>,
@@ -126,7 +126,14 @@ impl Basis {
     /// Writes, for every coefficient, the component along `direction` of its field at a point, times `factor`.
     ///
     /// The rows of the design matrix: `B = -grad V` [Zhao et al. 2012, eq. 3 to 5, with sin(tvx) mended].
-    pub(crate) fn project(&self, point: [f64; 3], direction: [f64; 3], factor: f64, s: &mut Scratch, out: &mut [f64]) {
+    pub(crate) fn project(
+        &self,
+        point: [f64; 3],
+        direction: [f64; 3],
+        factor: f64,
+        s: &mut BasisScratch,
+        out: &mut [f64],
+    ) {
         let [v, w] = self.wave;
         harmonics(v * point[0], self.order, &mut s.cos_x, &mut s.sin_x);
         harmonics(w * point[1], self.order, &mut s.cos_y, &mut s.sin_y);

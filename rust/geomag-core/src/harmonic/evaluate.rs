@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 
 use super::RectangularHarmonicModel;
-use super::basis::{Basis, Scratch};
+use super::basis::{Basis, BasisScratch};
 use super::kernel::{BLOCK, Output, Run};
 use crate::error::{Error, Result};
 
@@ -228,7 +228,7 @@ impl RectangularHarmonicModel {
     /// point), from the covariance of the coefficients; NaN outside the region unless `extrapolate`.
     ///
     /// The error of the fit, and where the model was told of it what the order leaves out (see
-    /// [`Misfit`](super::Misfit)).
+    /// [`FieldMisfit`](super::Misfit)).
     ///
     /// # Errors
     /// [`Error::Invalid`] where the model has no covariance, [`Error::Shape`] for another number of directions.
@@ -277,7 +277,7 @@ impl RectangularHarmonicModel {
         let full = DMatrix::from_fn(n, n, |i, j| covariance.at(i, j));
         let mut out = vec![f64::NAN; rows.len()];
         out.par_chunks_mut(ROWS).zip(rows.par_chunks(ROWS)).for_each(|(out, rows)| {
-            let mut scratch = Scratch::default();
+            let mut scratch = BasisScratch::default();
             let mut design = DMatrix::zeros(n, rows.len());
             for (&(i, direction), column) in rows.iter().zip(design.as_mut_slice().chunks_exact_mut(n)) {
                 if self.usable(positions.at(i), extrapolate) {

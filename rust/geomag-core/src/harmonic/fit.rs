@@ -127,7 +127,7 @@ pub fn fit(
     options: &FitOptions,
     monitor: &dyn Monitor,
 ) -> Result<RectangularHarmonicModel> {
-    let prepared = Prepared::new(observations, options)?;
+    let prepared = PreparedFit::new(observations, options)?;
     let (coefficients, solver, summary) = prepared.iterate(observations, options, Progress::whole(monitor))?;
     let mut model =
         RectangularHarmonicModel::new(options.order, prepared.periods_m, coefficients.data.into(), prepared.region)?
@@ -144,7 +144,7 @@ pub fn fit(
 }
 
 /// What can be said before the first solution.
-pub(super) struct Prepared {
+pub(super) struct PreparedFit {
     pub(super) basis: Basis,
     pub(super) periods_m: [f64; 2],
     /// Share of the ridge of each coefficient.
@@ -152,7 +152,7 @@ pub(super) struct Prepared {
     region: Region,
 }
 
-impl Prepared {
+impl PreparedFit {
     pub(super) fn new(observations: &Observations, options: &FitOptions) -> Result<Self> {
         if options.order > MAX_FIT_ORDER {
             return Err(Error::invalid("order", format!("at most {MAX_FIT_ORDER} in a fit"), options.order));

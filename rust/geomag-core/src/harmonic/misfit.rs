@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::evaluate::norm;
-use super::fit::{FitOptions, Period, Prepared, residuals};
+use super::fit::{FitOptions, Period, PreparedFit, residuals};
 use super::observations::{Observations, Sensed};
 use super::select::deal;
 use super::{Positions, fit};
@@ -19,20 +19,20 @@ const NUGGET_SHARES: u32 = 400;
 /// The nugget stands for what the order leaves out and for noise, the scale for a ridge that is not the ratio of variances:
 /// under a physically right [`Prior`](super::Prior) s grows with the distance to the data by itself. The default is s alone.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Misfit {
+pub struct FieldMisfit {
     /// Standard deviation where the coefficients are known, field unit.
     pub nugget: f64,
     /// Factor of the coefficients' standard deviation.
     pub scale: f64,
 }
 
-impl Default for Misfit {
+impl Default for FieldMisfit {
     fn default() -> Self {
         Self { nugget: 0.0, scale: 1.0 }
     }
 }
 
-impl Misfit {
+impl FieldMisfit {
     pub(crate) fn validate(self) -> Result<()> {
         require_not_negative("misfit nugget", self.nugget)?;
         require_not_negative("misfit scale", self.scale)?;
@@ -95,7 +95,7 @@ pub struct Left {
     /// Standard deviation of each prediction from the coefficients alone, field unit.
     pub sigma: Vec<f64>,
     /// What makes the two agree.
-    pub misfit: Misfit,
+    pub misfit: FieldMisfit,
 }
 
 /// Leaves out one part at a time, fits to the others and predicts it.
@@ -131,7 +131,7 @@ pub fn leave_out(
     monitor: &dyn Monitor,
 ) -> Result<Left> {
     let fold = deal(observations.point_count(), folds, groups, seed)?;
-    let periods_m = Prepared::new(observations, options)?.periods_m;
+    let periods_m = PreparedFit::new(observations, options)?.periods_m;
     let options = FitOptions { period: Period::Metres(periods_m), covariance: true, ..options.clone() };
     let mut errors = vec![f64::NAN; observations.len()];
     let mut sigma = vec![f64::NAN; observations.len()];
@@ -165,7 +165,11 @@ pub fn leave_out(
             .collect();
         let spread = model.sigma_along(&positions, &directions, true)?;
         // Residuals ask for the field at the points, of which each row here has its own.
-        let rows = hidden.rows.iter().enumerate().map(|(k, row)| super::observations::Row { point: k as u32, ..*row });
+        let rows = hidden
+            .rows
+            .iter()
+            .enumerate()
+            .map(|(k, row)| super::observations::ObservationRow { point: k as u32, ..*row });
         let alone = Observations { points: Vec::new(), rows: rows.collect(), anomalies: observations.anomalies };
         let found = residuals(&alone, &field);
         let mine = (0..observations.len()).filter(|&k| fold[observations.rows[k].point as usize] == part);
@@ -174,7 +178,7 @@ pub fn leave_out(
         }
     }
     monitor.advance(folds as u64, folds as u64)?;
-    let misfit = Misfit::learn(&errors, &sigma)?;
+    let misfit = FieldMisfit::learn(&errors, &sigma)?;
     Ok(Left { errors, sigma, misfit })
 }
 
@@ -191,7 +195,7 @@ mod tests {
         let sigma: Vec<f64> = (0..20_000).map(|k| 0.1 + f64::from(k % 100) * 0.05).collect();
         let mut draw = || -> f64 { StandardNormal.sample(&mut rng) };
         let errors: Vec<f64> = sigma.iter().map(|s| 1.5 * draw() + 0.7 * s * draw()).collect();
-        let found = Misfit::learn(&errors, &sigma).unwrap();
+        let found = FieldMisfit::learn(&errors, &sigma).unwrap();
         assert!((found.nugget - 1.5).abs() < 0.06 && (found.scale - 0.7).abs() < 0.03, "{found:?}");
         let nees = errors.iter().zip(&sigma).map(|(e, &s)| (e / found.sigma(s)).powi(2)).sum::<f64>() / 2e4;
         assert!((nees - 1.0).abs() < 1e-9, "{nees}");
@@ -200,14 +204,14 @@ mod tests {
     #[test]
     fn one_of_the_two_alone() {
         let errors = [1.0, -1.0, 1.0, -1.0];
-        let constant = Misfit::learn(&errors, &[0.0; 4]).unwrap();
-        assert_eq!(constant, Misfit { nugget: 1.0, scale: 0.0 });
+        let constant = FieldMisfit::learn(&errors, &[0.0; 4]).unwrap();
+        assert_eq!(constant, FieldMisfit { nugget: 1.0, scale: 0.0 });
         let grown: Vec<f64> = (1..400).map(|k| f64::from(k) * if k % 2 == 0 { 1.0 } else { -1.0 }).collect();
         let sizes: Vec<f64> = grown.iter().map(|e| 0.5 * e.abs()).collect();
-        let found = Misfit::learn(&grown, &sizes).unwrap();
+        let found = FieldMisfit::learn(&grown, &sizes).unwrap();
         assert!((found.scale - 2.0).abs() < 0.01 && found.nugget < 1.0, "{found:?}");
-        assert!(Misfit::learn(&[1.0], &[1.0]).is_err() && Misfit::learn(&[1.0, 2.0], &[1.0]).is_err());
-        assert!((Misfit::default().sigma(0.3) - 0.3).abs() < f64::EPSILON);
-        assert_eq!(Misfit::learn(&[0.0; 3], &[1.0; 3]).unwrap(), Misfit { nugget: 0.0, scale: 0.0 });
+        assert!(FieldMisfit::learn(&[1.0], &[1.0]).is_err() && FieldMisfit::learn(&[1.0, 2.0], &[1.0]).is_err());
+        assert!((FieldMisfit::default().sigma(0.3) - 0.3).abs() < f64::EPSILON);
+        assert_eq!(FieldMisfit::learn(&[0.0; 3], &[1.0; 3]).unwrap(), FieldMisfit { nugget: 0.0, scale: 0.0 });
     }
 }

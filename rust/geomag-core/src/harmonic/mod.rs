@@ -28,7 +28,7 @@ pub use evaluate::{Evaluation, Positions};
 pub use fit::{FitOptions, FitSummary, Period, Regularisation, fit};
 pub(crate) use map::Altitude;
 pub use map::{HarmonicMap, Quantity};
-pub use misfit::{Left, Misfit, leave_out};
+pub use misfit::{FieldMisfit, Left, leave_out};
 pub use observations::Observations;
 pub use select::{Choice, Selection, SelectionOptions, select};
 
@@ -99,7 +99,7 @@ pub struct RectangularHarmonicModel {
     unit: String,
     covariance: Option<Covariance>,
     summary: Option<FitSummary>,
-    misfit: Misfit,
+    misfit: FieldMisfit,
     packed: kernel::Packed,
 }
 
@@ -145,7 +145,7 @@ impl RectangularHarmonicModel {
             unit: "nT".into(),
             covariance: None,
             summary: None,
-            misfit: Misfit::default(),
+            misfit: FieldMisfit::default(),
             packed,
         })
     }
@@ -185,9 +185,9 @@ impl RectangularHarmonicModel {
         Ok(self)
     }
 
-    /// The same model with another account of its errors (see [`Misfit`]).
+    /// The same model with another account of its errors (see [`FieldMisfit`]).
     #[must_use]
-    pub fn with_misfit(mut self, misfit: Misfit) -> Self {
+    pub fn with_misfit(mut self, misfit: FieldMisfit) -> Self {
         self.misfit = misfit;
         self
     }
@@ -199,7 +199,7 @@ impl RectangularHarmonicModel {
     }
 
     /// What its sigma is made of besides the covariance of the coefficients.
-    pub fn misfit(&self) -> Misfit {
+    pub fn misfit(&self) -> FieldMisfit {
         self.misfit
     }
 
@@ -289,7 +289,7 @@ impl RectangularHarmonicModel {
     /// # Errors
     /// [`Error::State`].
     pub fn to_json(&self) -> Result<String> {
-        let saved = Saved {
+        let saved = SavedHarmonicModel {
             format: FORMAT.into(),
             version: VERSION,
             unit: self.unit.clone(),
@@ -310,7 +310,7 @@ impl RectangularHarmonicModel {
     /// # Errors
     /// [`Error::State`] for text that is no such model; otherwise as [`RectangularHarmonicModel::new`].
     pub fn from_json(text: &str) -> Result<Self> {
-        let saved: Saved = serde_json::from_str(text).map_err(|e| state_error(&e))?;
+        let saved: SavedHarmonicModel = serde_json::from_str(text).map_err(|e| state_error(&e))?;
         if saved.format != FORMAT || saved.version != VERSION {
             return Err(state_error(&format!(
                 "needed format {FORMAT:?} version {VERSION}, got {:?} version {}",
@@ -334,7 +334,7 @@ const VERSION: u32 = 1;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Saved {
+struct SavedHarmonicModel {
     format: String,
     version: u32,
     unit: String,
@@ -346,7 +346,7 @@ struct Saved {
     covariance_lower: Option<Vec<f64>>,
     fit: Option<FitSummary>,
     #[serde(default)]
-    misfit: Option<Misfit>,
+    misfit: Option<FieldMisfit>,
 }
 
 fn state_error(detail: &impl ToString) -> Error {

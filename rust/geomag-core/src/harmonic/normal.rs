@@ -8,7 +8,7 @@
 use nalgebra::{Cholesky, DMatrix, DMatrixView, DVector, Dyn, SymmetricEigen};
 use rayon::prelude::*;
 
-use super::basis::{Basis, Scratch};
+use super::basis::{Basis, BasisScratch};
 use crate::error::{Error, Result};
 use crate::monitor::Monitor;
 
@@ -91,7 +91,7 @@ pub(super) fn for_each_block(
             design = DMatrix::zeros(n, rows_here.len());
         }
         design.as_mut_slice().par_chunks_mut(n * 16).zip(rows_here.par_chunks(16)).for_each(|(columns, rows)| {
-            let mut scratch = Scratch::default();
+            let mut scratch = BasisScratch::default();
             for (row, column) in rows.iter().zip(columns.chunks_exact_mut(n)) {
                 basis.project(row.point, row.direction, row.weight, &mut scratch, column);
             }

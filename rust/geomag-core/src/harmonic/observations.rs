@@ -15,7 +15,7 @@ pub(crate) enum Sensed {
 
 /// One number.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Row {
+pub(crate) struct ObservationRow {
     pub(crate) point: u32,
     pub(crate) sensed: Sensed,
     pub(crate) value: f64,
@@ -41,7 +41,7 @@ pub(crate) struct Row {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Observations {
     pub(crate) points: Vec<[f64; 3]>,
-    pub(crate) rows: Vec<Row>,
+    pub(crate) rows: Vec<ObservationRow>,
     pub(crate) anomalies: bool,
 }
 
@@ -91,7 +91,7 @@ impl Observations {
             for (axis, &value) in AXES.iter().zip(f) {
                 if !value.is_nan() {
                     let sensed = Sensed::Along(*axis);
-                    self.rows.push(Row { point: first + i as u32, sensed, value, weight: weights(i) });
+                    self.rows.push(ObservationRow { point: first + i as u32, sensed, value, weight: weights(i) });
                 }
             }
         }
@@ -165,7 +165,7 @@ impl Observations {
         let first = self.add_points(positions)?;
         for (i, &value) in values.iter().enumerate() {
             let main = if main_field.len() == 1 { main_field[0] } else { main_field[i] };
-            self.rows.push(Row { point: first + i as u32, sensed: sensed(main), value, weight: weights(i) });
+            self.rows.push(ObservationRow { point: first + i as u32, sensed: sensed(main), value, weight: weights(i) });
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
 use super::basis::{Prior, coefficient_count};
-use super::fit::{FitOptions, Period, Prepared, huber_weights, linear_rows, residuals};
+use super::fit::{FitOptions, Period, PreparedFit, huber_weights, linear_rows, residuals};
 use super::normal::{LinearRow, Normal, Progress, Regularisation, Solver, for_each_block};
 use super::observations::{Observations, Sensed};
 use super::{Positions, fit};
@@ -110,7 +110,7 @@ pub fn select(
     let mut candidates = Vec::new();
     for (k, &period_ratio) in choice.period_ratios.iter().enumerate() {
         let prepared =
-            Prepared::new(observations, &FitOptions { period: Period::Ratio(period_ratio), ..base.clone() })?;
+            PreparedFit::new(observations, &FitOptions { period: Period::Ratio(period_ratio), ..base.clone() })?;
         let share =
             |part: usize| (k as f64 + part as f64 / (choice.folds + 1) as f64) / choice.period_ratios.len() as f64;
         let step = |part: usize| Progress::whole(monitor).part(share(part), share(part + 1));
@@ -210,7 +210,7 @@ fn solve_all(training: &Normal, choices: &[(usize, f64, usize)], dampings: &[Vec
 /// Sum of the squared residuals of a part for every choice. From the rows: the normal equations would lose it in
 /// cancellation.
 fn left_out_errors(
-    prepared: &Prepared,
+    prepared: &PreparedFit,
     part: &[LinearRow],
     solutions: &DMatrix<f64>,
     progress: Progress<'_>,

@@ -500,13 +500,13 @@ fn a_models_misfit_is_in_its_sigma_and_in_its_file() {
     let model = fit(&observations, &options, &Quiet).unwrap();
     let positions = Positions::new(&[100.0], &[-300.0], &[0.0]).unwrap();
     let bare = model.sigma_along(&positions, &[[0.0, 0.0, 1.0]], false).unwrap()[0];
-    let told = model.with_misfit(Misfit { nugget: 3.0, scale: 2.0 });
+    let told = model.with_misfit(FieldMisfit { nugget: 3.0, scale: 2.0 });
     let more = told.sigma_along(&positions, &[[0.0, 0.0, 1.0]], false).unwrap()[0];
     assert_relative_eq!(more, 3.0_f64.hypot(2.0 * bare), max_relative = 1e-12);
     let text = told.to_json().unwrap();
     assert_eq!(RectangularHarmonicModel::from_json(&text).unwrap(), told);
     let old = text.replace(r#","misfit":{"nugget":3.0,"scale":2.0}"#, "");
     assert_ne!(old, text);
-    assert_eq!(RectangularHarmonicModel::from_json(&old).unwrap().misfit(), Misfit::default());
+    assert_eq!(RectangularHarmonicModel::from_json(&old).unwrap().misfit(), FieldMisfit::default());
     assert!(RectangularHarmonicModel::from_json(&text.replace("\"scale\":2.0", "\"scale\":-2.0")).is_err());
 }

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::estimate::{Estimate, check_gate, noise_factor};
+use super::estimate::{Estimate, check_max_nis, noise_factor};
 use crate::error::{Error, Result, require_finite};
 
 /// A linear Kalman filter whose measurements must first pass a test.
@@ -67,17 +67,17 @@ impl ErrorStateFilter {
         self.estimate.move_linear(moved, transition, &noise)
     }
 
-    /// Takes the measurement z = H x + v, cov v = R, if its normalised innovation squared is at most `gate`.
+    /// Takes the measurement z = H x + v, cov v = R, if its normalised innovation squared is at most `max_nis`.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (gate), [`Error::NotPositiveDefinite`] for an innovation
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (`max_nis`), [`Error::NotPositiveDefinite`] for an innovation
     /// covariance that is not.
     pub fn update(
         &mut self,
         measurement: &DVector<f64>,
         matrix: &DMatrix<f64>,
         noise: &DMatrix<f64>,
-        gate: f64,
+        max_nis: f64,
     ) -> Result<Update> {
         let (n, m) = (self.estimate.len(), measurement.len());
         if matrix.shape() != (m, n) {
@@ -85,10 +85,10 @@ impl ErrorStateFilter {
         }
         square("measurement noise", noise, m)?;
         require_finite("measurement", measurement.as_slice())?;
-        check_gate(Some(gate))?;
+        check_max_nis(Some(max_nis))?;
         let noise = noise_factor("measurement noise", m, noise.as_slice())?;
         let residual = measurement - matrix * DVector::from_column_slice(self.estimate.mean());
-        let innovation = self.estimate.correct_linear(residual, matrix, &noise, Some(gate))?;
+        let innovation = self.estimate.correct_linear(residual, matrix, &noise, Some(max_nis))?;
         Ok(Update { nis: innovation.nis, accepted: innovation.accepted })
     }
 }

@@ -214,7 +214,7 @@ impl Estimate {
         &mut self,
         residual: DVector<f64>,
         joint: &DMatrix<f64>,
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> Result<Innovation> {
         let (m, n) = (residual.len(), self.len());
         require_finite("innovation", residual.as_slice())?;
@@ -239,7 +239,7 @@ impl Estimate {
         let Some(gain) = root.tr_solve_lower_triangular(&cross.transpose()) else {
             return Err(not_definite("innovation covariance"));
         };
-        let accepted = gate.is_none_or(|limit| nis <= limit);
+        let accepted = max_nis.is_none_or(|most| nis <= most);
         let innovation = Innovation { residual, covariance: outer(&root), nis, gain: gain.transpose(), accepted };
         require_finite("normalised innovation squared", &[nis])?;
         if accepted {
@@ -275,14 +275,14 @@ impl Estimate {
         residual: DVector<f64>,
         matrix: &DMatrix<f64>,
         noise: &DMatrix<f64>,
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> Result<Innovation> {
         let (m, n) = (residual.len(), self.len());
         let mut joint = DMatrix::zeros(m + n, n + m);
         joint.view_mut((0, 0), (m, n)).copy_from(&(matrix * &self.factor));
         joint.view_mut((m, 0), (n, n)).copy_from(&self.factor);
         joint.view_mut((0, n), (m, m)).copy_from(noise);
-        self.correct(residual, &joint, gate)
+        self.correct(residual, &joint, max_nis)
     }
 
     /// The textbook form, for weights under which the columns of [`Estimate::correct`] would be imaginary.
@@ -291,7 +291,7 @@ impl Estimate {
         residual: DVector<f64>,
         innovation: &DMatrix<f64>,
         cross: &DMatrix<f64>,
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> Result<Innovation> {
         require_finite("innovation", residual.as_slice())?;
         require_finite("innovation covariance", innovation.as_slice())?;
@@ -302,7 +302,7 @@ impl Estimate {
         let gain = root.tr_solve_lower_triangular(&half).ok_or_else(|| not_definite("innovation covariance"))?;
         let nis = whitened.norm_squared();
         require_finite("normalised innovation squared", &[nis])?;
-        let accepted = gate.is_none_or(|limit| nis <= limit);
+        let accepted = max_nis.is_none_or(|most| nis <= most);
         if accepted {
             let mean = &self.mean + half.transpose() * &whitened;
             let covariance = self.covariance() - half.transpose() * &half;
@@ -314,8 +314,8 @@ impl Estimate {
 }
 
 /// Refuses a gate that would silently refuse every measurement (negative, zero) or none (NaN).
-pub(super) fn check_gate(gate: Option<f64>) -> Result<()> {
-    match gate {
+pub(super) fn check_max_nis(max_nis: Option<f64>) -> Result<()> {
+    match max_nis {
         Some(limit) if limit.is_nan() || limit <= 0.0 => {
             Err(Error::invalid("max_nis", "a normalised innovation squared > 0", limit))
         }

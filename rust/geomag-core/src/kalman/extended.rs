@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::estimate::{Estimate, Innovation, check_gate, noise_factor};
+use super::estimate::{Estimate, Innovation, check_max_nis, noise_factor};
 use crate::error::{Error, Result, require_finite};
 use crate::state::Saved;
 
@@ -85,10 +85,10 @@ impl ExtendedKalmanFilter {
     }
 
     /// Takes in a measurement `z` expected to be `expected = h(x)` with the Jacobian of `h` (row-major, m x n) and noise
-    /// covariance `r` (row-major, m x m). With a `gate`, a measurement whose NIS exceeds it changes nothing.
+    /// covariance `r` (row-major, m x m). With a `max_nis`, a measurement whose NIS exceeds it changes nothing.
     ///
     /// # Errors
-    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (gate), [`Error::NotPositiveDefinite`]; the filter is
+    /// [`Error::Shape`], [`Error::NotFinite`], [`Error::Invalid`] (`max_nis`), [`Error::NotPositiveDefinite`]; the filter is
     /// then left as it was.
     pub fn update(
         &mut self,
@@ -96,7 +96,7 @@ impl ExtendedKalmanFilter {
         expected: &[f64],
         jacobian: &[f64],
         r: &[f64],
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> Result<&Innovation> {
         let (n, m) = (self.estimate.len(), z.len());
         if m == 0 || expected.len() != m {
@@ -107,11 +107,11 @@ impl ExtendedKalmanFilter {
             ));
         }
         require_finite("measurement z", z)?;
-        check_gate(gate)?;
+        check_max_nis(max_nis)?;
         let jacobian = rectangle("Jacobian of the measurement", m, n, jacobian)?;
         let noise = noise_factor("measurement noise R", m, r)?;
         let residual = DVector::from_iterator(m, z.iter().zip(expected).map(|(z, e)| z - e));
-        let innovation = self.estimate.correct_linear(residual, &jacobian, &noise, gate)?;
+        let innovation = self.estimate.correct_linear(residual, &jacobian, &noise, max_nis)?;
         Ok(self.innovation.insert(innovation))
     }
 }

@@ -3,27 +3,34 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::estimate::{Estimate, Innovation, check_gate, noise_factor, outer};
+use super::estimate::{Estimate, Innovation, check_max_nis, noise_factor, outer};
 use crate::error::{Error, Result, require_finite, require_positive};
 use crate::state::Saved;
 
-/// How far the sigma points lie from the mean and how the centre is weighted (Julier 2002; Wan & van der Merwe 2000).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Scaling {
-    /// Spread: points lie `alpha sqrt(n + kappa)` standard deviations away. 1 for fields that bend within the position
-    /// error; 1e-3, which is often seen, samples the slope at one point and loses the track in steep fields.
-    pub alpha: f64,
-    /// 2 is best for normal states.
-    pub beta: f64,
-    /// Usually 0, or 3 - n.
-    pub kappa: f64,
+/// What is asked of sigma points, each written once; see `table.rs`.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! scaling_options {
+    ($then:ident $($given:tt)*) => {
+        $then! {
+            $($given)*
+            scaling [
+                (alpha: number = 1.0; "float";
+                    "Spread: sigma points lie `alpha sqrt(n + kappa)` standard deviations away. 1 for fields that bend within the position"
+                    "error; 1e-3, which is often seen, samples the slope at one point and loses the track in steep fields.")
+                (beta: number = 2.0; "float";
+                    "Weight of the centre; 2 is best for normal states.")
+                (kappa: number = 0.0; "float";
+                    "Usually 0, or 3 - n.")
+            ]
+        }
+    };
 }
 
-impl Default for Scaling {
-    fn default() -> Self {
-        Self { alpha: 1.0, beta: 2.0, kappa: 0.0 }
-    }
-}
+scaling_options!(record {
+    /// How far the sigma points lie from the mean and how the centre is weighted (Julier 2002; Wan & van der Merwe 2000).
+    Scaling
+});
 
 impl Scaling {
     pub(crate) fn validate(self, states: usize) -> Result<Self> {
@@ -149,20 +156,20 @@ impl UnscentedKalmanFilter {
 
     /// Takes in a measurement `z` of `h(state, out)` with noise covariance `r` (row-major, m x m).
     ///
-    /// With a `gate`, a measurement whose NIS exceeds it changes nothing.
+    /// With a `max_nis`, a measurement whose NIS exceeds it changes nothing.
     ///
     /// # Errors
-    /// Those of `h`; [`Error::Shape`], [`Error::NotFinite`] (measurement, `h`), [`Error::Invalid`] (gate),
+    /// Those of `h`; [`Error::Shape`], [`Error::NotFinite`] (measurement, `h`), [`Error::Invalid`] (`max_nis`),
     /// [`Error::NotPositiveDefinite`]. The state is then left as it was.
     pub fn update<E: From<Error>>(
         &mut self,
         z: &[f64],
         h: impl FnMut(&[f64], &mut [f64]) -> std::result::Result<(), E>,
         r: &[f64],
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> std::result::Result<&Innovation, E> {
         let noise = noise_factor("measurement noise R", z.len(), r)?;
-        self.update_with(z, one_by_one(h), &noise, gate)
+        self.update_with(z, one_by_one(h), &noise, max_nis)
     }
 
     /// [`UnscentedKalmanFilter::predict`] with all sigma points (one a column) in one call and the factor of the noise.
@@ -195,14 +202,14 @@ impl UnscentedKalmanFilter {
         z: &[f64],
         mut h: impl FnMut(&DMatrix<f64>, &mut DMatrix<f64>) -> std::result::Result<(), E>,
         noise: &DMatrix<f64>,
-        gate: Option<f64>,
+        max_nis: Option<f64>,
     ) -> std::result::Result<&Innovation, E> {
         let (n, m) = (self.estimate.len(), z.len());
         if m == 0 {
             return Err(Error::shape("measurement z", "at least one number", "none").into());
         }
         require_finite("measurement z", z)?;
-        check_gate(gate)?;
+        check_max_nis(max_nis)?;
         let mut seen = DMatrix::zeros(m, 2 * n + 1);
         h(&self.sigma_points(), &mut seen)?;
         let spread = self.spread_of(&seen);
@@ -221,12 +228,12 @@ impl UnscentedKalmanFilter {
                     joint[(m + i, n + j)] = -away;
                 }
             }
-            self.estimate.correct(residual, &joint, gate)?
+            self.estimate.correct(residual, &joint, max_nis)?
         } else {
             let factor = weight * &self.estimate.factor;
             let cross = &factor * (spread.columns.columns(0, n) - spread.columns.columns(n, n)).transpose();
             let covariance = spread.covariance() + outer(noise);
-            self.estimate.correct_full(residual, &covariance, &cross, gate)?
+            self.estimate.correct_full(residual, &covariance, &cross, max_nis)?
         };
         Ok(self.innovation.insert(innovation))
     }

@@ -271,7 +271,7 @@ impl<T: Real, M: Measure, const FULL: bool> WithSimd for ScoreTile<'_, '_, T, M,
                     continue;
                 }
                 let sums = T::vectors_mut::<S>(sums);
-                let block = Block { simd, measure, samples: &samples[..group], column: i * PAIR * lanes };
+                let block = TileBlock { simd, measure, samples: &samples[..group], column: i * PAIR * lanes };
                 // Rows whose sums fit into registers, with room for what is worked on.
                 let mut row = 0;
                 while row < rows {
@@ -392,7 +392,7 @@ impl<T: Real> TileSample<'_, T> {
 }
 
 /// A pair of vectors of offsets and the samples that are added to their sums.
-struct Block<'a, S, T, M> {
+struct TileBlock<'a, S, T, M> {
     simd: S,
     measure: M,
     samples: &'a [TileSample<'a, T>],
@@ -412,7 +412,7 @@ macro_rules! for_each_row {
     };
 }
 
-impl<S: Simd, T: Real, M: Measure> Block<'_, S, T, M> {
+impl<S: Simd, T: Real, M: Measure> TileBlock<'_, S, T, M> {
     const fn slots<const FULL: bool>() -> usize {
         if FULL { OWN + M::SLOTS_WEIGHTED } else { M::SLOTS }
     }

@@ -10,7 +10,7 @@ mod synthesis;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use self::synthesis::{LANES, Recursion, Sums};
+use self::synthesis::{FieldSums, LANES, Recursion};
 use crate::error::{Error, Result, require_finite};
 use crate::monitor::Monitor;
 
@@ -31,7 +31,7 @@ const CHUNK: usize = 1024;
 /// # Ok::<(), geomag_core::error::Error>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "State", into = "State")]
+#[serde(try_from = "SavedMainField", into = "SavedMainField")]
 pub struct MainField {
     degree: usize,
     epochs: Vec<f64>,
@@ -44,22 +44,22 @@ pub struct MainField {
 }
 
 #[derive(Clone, Serialize, Deserialize)]
-struct State {
+struct SavedMainField {
     degree: usize,
     epochs: Vec<f64>,
     g: Vec<Vec<f64>>,
     h: Vec<Vec<f64>>,
 }
 
-impl TryFrom<State> for MainField {
+impl TryFrom<SavedMainField> for MainField {
     type Error = Error;
 
-    fn try_from(s: State) -> Result<Self> {
+    fn try_from(s: SavedMainField) -> Result<Self> {
         Self::new(s.degree, s.epochs, s.g, s.h)
     }
 }
 
-impl From<MainField> for State {
+impl From<MainField> for SavedMainField {
     fn from(f: MainField) -> Self {
         Self { degree: f.degree, epochs: f.epochs, g: f.g, h: f.h }
     }
@@ -210,7 +210,7 @@ impl MainField {
     }
 
     fn lanes(&self, [latitude, longitude, height, year]: [[f64; LANES]; 4]) -> [[f64; 3]; LANES] {
-        let places = std::array::from_fn(|l| synthesis::Place::new(latitude[l], longitude[l], height[l]));
+        let places = std::array::from_fn(|l| synthesis::SpherePlace::new(latitude[l], longitude[l], height[l]));
         let intervals: [usize; LANES] = std::array::from_fn(|l| self.interval(year[l]));
         let share: [f64; LANES] = std::array::from_fn(|l| {
             let k = intervals[l];
@@ -218,7 +218,7 @@ impl MainField {
         });
         let from = intervals.map(|k| self.ordered[k].as_slice());
         let to = intervals.map(|k| self.ordered[k + 1].as_slice());
-        let sums: [Sums; LANES] = self.recursion.sums(&places, from, to, share);
+        let sums: [FieldSums; LANES] = self.recursion.sums(&places, from, to, share);
         std::array::from_fn(|l| places[l].geodetic(&sums[l]))
     }
 

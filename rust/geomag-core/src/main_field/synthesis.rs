@@ -9,13 +9,13 @@ use crate::constants::{GEOMAGNETIC_RADIUS_M, WGS84_A_M, WGS84_E2};
 /// Places that are evaluated side by side.
 pub(super) const LANES: usize = 4;
 
-type Lane = [f64; LANES];
+type DoubleLane = [f64; LANES];
 
 /// Radial, colatitude and longitude components.
-pub(super) type Sums = [f64; 3];
+pub(super) type FieldSums = [f64; 3];
 
 /// A place in geocentric terms.
-pub(super) struct Place {
+pub(super) struct SpherePlace {
     /// Sine and cosine of the geocentric latitude: cosine and sine of the colatitude.
     sin: f64,
     cos: f64,
@@ -26,7 +26,7 @@ pub(super) struct Place {
     tilt: [f64; 2],
 }
 
-impl Place {
+impl SpherePlace {
     /// Geodetic degrees, metres above WGS84.
     pub(super) fn new(latitude_deg: f64, longitude_deg: f64, height_m: f64) -> Self {
         let (sin, cos) =
@@ -42,7 +42,7 @@ impl Place {
     }
 
     /// North, east, down at the ellipsoid's normal from radial, colatitude and longitude components.
-    pub(super) fn geodetic(&self, [radial, colatitude, longitude]: &Sums) -> [f64; 3] {
+    pub(super) fn geodetic(&self, [radial, colatitude, longitude]: &FieldSums) -> [f64; 3] {
         let (north, down) = (-colatitude, -radial);
         let [s, c] = self.tilt;
         [north * c - down * s, *longitude, north * s + down * c]
@@ -81,12 +81,12 @@ impl Recursion {
     /// The three sums at every place: coefficients are `share` of the way between two epochs.
     pub(super) fn sums(
         &self,
-        places: &[Place; LANES],
+        places: &[SpherePlace; LANES],
         from: [&[[f64; 2]]; LANES],
         to: [&[[f64; 2]]; LANES],
-        share: Lane,
-    ) -> [Sums; LANES] {
-        let lane = |f: &dyn Fn(usize) -> f64| -> Lane { std::array::from_fn(f) };
+        share: DoubleLane,
+    ) -> [FieldSums; LANES] {
+        let lane = |f: &dyn Fn(usize) -> f64| -> DoubleLane { std::array::from_fn(f) };
         let (cos_t, sin_t) = (lane(&|l| places[l].sin), lane(&|l| places[l].cos));
         let ratio = lane(&|l| places[l].ratio);
         let mut powers = vec![[0.0; LANES]; self.degree + 1];

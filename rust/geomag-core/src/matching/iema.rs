@@ -96,7 +96,7 @@ impl IemaOptions {
 
 /// A candidate that is still feasible.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Candidate {
+struct LatticeCandidate {
     row: u32,
     column: u32,
     log_score: f64,
@@ -167,26 +167,26 @@ pub struct Iema {
     options: IemaOptions,
     lattice: OffsetLattice,
     classes: Option<Classes>,
-    state: State,
+    state: IemaState,
     /// Weights of the classes for the current sample, kept so that later samples allocate nothing.
     shifts: Vec<Shift>,
 }
 
 /// Everything that changes from sample to sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct State {
+struct IemaState {
     n_samples: usize,
     /// Indicated position of the newest sample.
     newest: Option<[f64; 2]>,
     /// `None` until the first sample: all are feasible and untested, and need no memory yet.
-    feasible: Option<Vec<Candidate>>,
+    feasible: Option<Vec<LatticeCandidate>>,
 }
 
 /// What is saved: everything but the map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Saving {
     options: IemaOptions,
-    state: State,
+    state: IemaState,
 }
 
 impl Saved for Saving {
@@ -207,7 +207,7 @@ impl Saved for Saving {
             return Err(Error::invalid("candidates", "row by row, each once", "another order"));
         }
         let most = self.options.max_misses;
-        let wrong = |c: &&Candidate| {
+        let wrong = |c: &&LatticeCandidate| {
             !c.log_score.is_finite() || c.misses > most.min(c.tested) || c.tested as usize > self.state.n_samples
         };
         match list.iter().find(wrong) {
@@ -236,7 +236,7 @@ impl Iema {
             options,
             lattice,
             classes,
-            state: State { n_samples: 0, newest: None, feasible: None },
+            state: IemaState { n_samples: 0, newest: None, feasible: None },
             shifts: Vec::new(),
         })
     }
@@ -287,7 +287,7 @@ impl Iema {
 
     /// Begins again: every candidate feasible, no sample seen.
     pub fn reset(&mut self) {
-        self.state = State { n_samples: 0, newest: None, feasible: None };
+        self.state = IemaState { n_samples: 0, newest: None, feasible: None };
     }
 
     /// Takes one sample: indicated position (map units) and measured value.
@@ -392,7 +392,7 @@ impl Iema {
     }
 
     /// The first sample: whole rows through the lattice kernels, only survivors are kept.
-    fn first(&self, [x, y]: [f64; 2], height_m: Option<f64>, test: &Test) -> Result<Vec<Candidate>> {
+    fn first(&self, [x, y]: [f64; 2], height_m: Option<f64>, test: &Test) -> Result<Vec<LatticeCandidate>> {
         let comparison = Comparison::new(
             &*self.field,
             self.lattice,
@@ -404,11 +404,12 @@ impl Iema {
         )?
         .at_heights(height_m.as_ref().map(std::slice::from_ref))?;
         let columns = self.lattice.columns();
-        let row_survivors = |row: usize, values: &mut Vec<f64>, out: &mut Vec<Candidate>| {
+        let row_survivors = |row: usize, values: &mut Vec<f64>, out: &mut Vec<LatticeCandidate>| {
             values.resize(columns, 0.0);
             comparison.map_row(0, row, 0, values);
             for (column, &m) in values.iter().enumerate() {
-                let fresh = Candidate { row: row as u32, column: column as u32, log_score: 0.0, misses: 0, tested: 0 };
+                let fresh =
+                    LatticeCandidate { row: row as u32, column: column as u32, log_score: 0.0, misses: 0, tested: 0 };
                 if let Some(c) = test.apply(fresh, m) {
                     out.push(c);
                 }
@@ -423,7 +424,7 @@ impl Iema {
             return Ok(out);
         }
         let scratch = || (Vec::new(), Vec::new());
-        let parts: Vec<Vec<Candidate>> = (0..self.lattice.rows())
+        let parts: Vec<Vec<LatticeCandidate>> = (0..self.lattice.rows())
             .into_par_iter()
             .map_init(scratch, |(values, out), row| {
                 out.clear();
@@ -453,7 +454,13 @@ impl Iema {
     }
 
     /// Later samples: the survivors alone.
-    fn later(&self, mut list: Vec<Candidate>, at: [f64; 2], height_m: Option<f64>, test: &Test) -> Vec<Candidate> {
+    fn later(
+        &self,
+        mut list: Vec<LatticeCandidate>,
+        at: [f64; 2],
+        height_m: Option<f64>,
+        test: &Test,
+    ) -> Vec<LatticeCandidate> {
         let sampler = Sampler::new(self, at, height_m);
         if list.len() < 2 * CHUNK {
             // In place: no allocation after the first sample.
@@ -560,7 +567,7 @@ struct Test {
 impl Test {
     /// The candidate after the sample, or `None` where it is no longer feasible.
     #[inline]
-    fn apply(&self, mut c: Candidate, m: f64) -> Option<Candidate> {
+    fn apply(&self, mut c: LatticeCandidate, m: f64) -> Option<LatticeCandidate> {
         let r = m - self.value;
         if r.abs() <= self.gate {
             let z = r * self.inverse_sigma;

@@ -23,7 +23,7 @@ use crate::track::Track;
 
 /// A sample of the window with the sum of the estimates that were made of its displacement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct Entry {
+struct WindowEntry {
     number: usize,
     x: f64,
     y: f64,
@@ -54,7 +54,7 @@ pub struct SlidingState {
     floor_m: f64,
     sigma: Option<f64>,
     options: ContourOptions,
-    entries: VecDeque<Entry>,
+    entries: VecDeque<WindowEntry>,
     count: usize,
     /// The last window's transform about its newest point, and that point.
     last: Option<(Transform, [f64; 2])>,
@@ -192,12 +192,20 @@ impl SlidingState {
         {
             self.settled = Some(averaged(map, &oldest));
         }
-        self.entries.push_back(Entry { number: self.count, x, y, value, weight: 0.0, sum: [0.0; 2], estimates: 0 });
+        self.entries.push_back(WindowEntry {
+            number: self.count,
+            x,
+            y,
+            value,
+            weight: 0.0,
+            sum: [0.0; 2],
+            estimates: 0,
+        });
         self.count = self.count.saturating_add(1);
         if self.entries.len() < self.length {
             return Ok(Fix::none(Status::Searching, self.entries.len()));
         }
-        let column = |get: &dyn Fn(&Entry) -> f64| self.entries.iter().map(get).collect::<Vec<f64>>();
+        let column = |get: &dyn Fn(&WindowEntry) -> f64| self.entries.iter().map(get).collect::<Vec<f64>>();
         let track = Track::new(column(&|e| e.x), column(&|e| e.y), column(&|e| e.value), None)?;
         self.match_window(map, &track, monitor)
     }
@@ -282,7 +290,7 @@ impl SlidingState {
     }
 }
 
-fn averaged(map: &GridMap, e: &Entry) -> AveragedPoint {
+fn averaged(map: &GridMap, e: &WindowEntry) -> AveragedPoint {
     let [east, north] = map.metres_per_unit(e.y);
     let mean = |i: usize| if e.weight > 0.0 { e.sum[i] / e.weight } else { 0.0 };
     AveragedPoint {

@@ -137,7 +137,7 @@ impl Transform {
                 got: used,
             });
         }
-        let mut sums = Sums::default();
+        let mut sums = TransformSums::default();
         for k in 0..n {
             sums.add(from[k], to[k], weights.map_or(1.0, |w| w[k]));
         }
@@ -147,13 +147,13 @@ impl Transform {
 
 /// Weighted first moments of pairs of points.
 #[derive(Default)]
-struct Sums {
+struct TransformSums {
     weight: f64,
     from: [f64; 2],
     to: [f64; 2],
 }
 
-impl Sums {
+impl TransformSums {
     fn add(&mut self, p: [f64; 2], q: [f64; 2], w: f64) {
         self.weight += w;
         for i in 0..2 {

@@ -1,6 +1,6 @@
 //! Whole flights.
 
-use geomag_core::navigation::navigator::{Flight, NavigatorStep, Smoothing, navigate};
+use geomag_core::navigation::navigator::{NavigatedFlight, NavigatorStep, Smoothing, navigate};
 use geomag_core::stack::extent;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -13,7 +13,7 @@ use crate::long_call;
 use crate::stack::field_over;
 
 /// Columns of a flight by name.
-fn columns<'py>(py: Python<'py>, flight: &Flight) -> PyRes<Bound<'py, PyDict>> {
+fn columns<'py>(py: Python<'py>, flight: &NavigatedFlight) -> PyRes<Bound<'py, PyDict>> {
     let n = flight.steps.len();
     let out = PyDict::new(py);
     let number = |f: &dyn Fn(&NavigatorStep) -> f64| shaped(py, flight.steps.iter().map(f).collect(), &[n]);

@@ -1,7 +1,7 @@
 //! The keywords of a navigator.
 
 use geomag_core::error::Error;
-use geomag_core::navigation::navigator::{MatcherPlan, Method, NavigatorOptions};
+use geomag_core::navigation::navigator::{MatcherPlan, NavigatorMethod, NavigatorOptions};
 use geomag_core::navigator_options;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -63,11 +63,11 @@ fn plan(key: &str, value: &Bound<'_, PyAny>) -> PyRes<MatcherPlan> {
     Ok(plan.map_err(|_| invalid(key, "a geomag.MatcherPlan, 'default' or None", value.get_type()))?.get().inner)
 }
 
-fn method(key: &str, value: &Bound<'_, PyAny>) -> PyRes<Method> {
+fn method(key: &str, value: &Bound<'_, PyAny>) -> PyRes<NavigatorMethod> {
     match value.extract::<&str>() {
-        Ok("navigator") => Ok(Method::Navigator),
-        Ok("ekf") => Ok(Method::Ekf),
-        Ok("rbpf") => Ok(Method::Rbpf),
+        Ok("navigator") => Ok(NavigatorMethod::Navigator),
+        Ok("ekf") => Ok(NavigatorMethod::Ekf),
+        Ok("rbpf") => Ok(NavigatorMethod::Rbpf),
         _ => Err(invalid(key, "'navigator', 'ekf' or 'rbpf'", value.repr()?)),
     }
 }

@@ -12,4 +12,4 @@ pub use flight::py_navigate;
 pub use measures::{py_displacements_m, py_radii_m};
 pub use models::{PyInsModel, PyMatcherPlan};
 pub use navigator::PyNavigator;
-pub use step::PyNavigationStep;
+pub use step::PyNavigatorStep;

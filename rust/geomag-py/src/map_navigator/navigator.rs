@@ -4,14 +4,14 @@ use std::sync::Arc;
 
 use geomag_core::field::Field;
 use geomag_core::monitor::Monitor;
-use geomag_core::navigation::navigator::{Correction, Indicated, Method, Navigator};
+use geomag_core::navigation::navigator::{Correction, Indicated, Navigator, NavigatorMethod};
 use geomag_core::navigator_options;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyTuple};
 
 use super::keywords::{covariance, options};
 use super::log::Log;
-use super::step::PyNavigationStep;
+use super::step::PyNavigatorStep;
 use crate::arrays::{optional_vector, pair, shaped};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
@@ -73,7 +73,7 @@ impl PyNavigator {
     #[pyo3(signature = (grid, **options))]
     fn new(grid: &Bound<'_, PyAny>, options: Option<&Bound<'_, PyDict>>) -> PyRes<Self> {
         let options = self::options(options)?;
-        if options.method == Method::Rbpf {
+        if options.method == NavigatorMethod::Rbpf {
             return Err(invalid("method", "'navigator' or 'ekf' ('rbpf' is for whole flights: navigate)", "'rbpf'"));
         }
         let field = field(grid)?;
@@ -84,7 +84,7 @@ impl PyNavigator {
     /// Go on to what the INS indicates now, and take in a reading where there is one.
     ///
     /// `x`, `y` in map units, `velocity_m_s` (east, north), `heading_deg` clockwise from north, `value` in the map's unit (None or NaN: no reading).
-    /// A velocity of None is the difference of positions, a heading of None the course. `terms` (m,) go with `terms_covariance`. Returns a `NavigationStep`.
+    /// A velocity of None is the difference of positions, a heading of None the course. `terms` (m,) go with `terms_covariance`. Returns a `NavigatorStep`.
     #[pyo3(signature = (time_s, x, y, velocity_m_s = None, heading_deg = None, value = None, *, height_m = None, terms = None))]
     #[allow(clippy::too_many_arguments)] // one each
     fn step(
@@ -98,14 +98,14 @@ impl PyNavigator {
         value: Option<f64>,
         height_m: Option<f64>,
         terms: Option<&Bound<'_, PyAny>>,
-    ) -> PyRes<PyNavigationStep> {
+    ) -> PyRes<PyNavigatorStep> {
         let velocity_m_s = velocity_m_s.map(|v| pair("velocity_m_s", v)).transpose()?;
         let indicated = Indicated { time_s, x, y, velocity_m_s, heading_deg, height_m, value };
         let terms = optional_vector("terms", terms)?.unwrap_or_default();
         let step = |monitor: &dyn Monitor| self.inner.alone(|n| n.step_interruptible(&indicated, &terms, monitor));
         let units = if self.inner.with(py, |n| n.is_match_due(time_s)) { long_call::SHORT } else { 0 };
         let inner = long_call::run(py, units, None, None, step)?;
-        Ok(PyNavigationStep { inner })
+        Ok(PyNavigatorStep { inner })
     }
 
     /// Take a matcher's fix of the newest indicated position.

@@ -14,13 +14,13 @@ fn two_by_two<'py>(py: Python<'py>, c: &[[f64; 2]; 2]) -> PyRes<Bound<'py, PyAny
 ///
 /// `x`, `y` is the corrected place; `covariance_m2` is to be believed, `protection_level_m` is exceeded with the probability that was asked for.
 /// A step whose `status` is not `tracking` says why in `reason`.
-#[pyclass(frozen, name = "NavigationStep", module = "geomag")]
-pub struct PyNavigationStep {
+#[pyclass(frozen, name = "NavigatorStep", module = "geomag")]
+pub struct PyNavigatorStep {
     pub inner: NavigatorStep,
 }
 
 #[pymethods]
-impl PyNavigationStep {
+impl PyNavigatorStep {
     /// East or longitude, corrected, map units.
     #[getter]
     fn x(&self) -> f64 {
@@ -120,7 +120,7 @@ impl PyNavigationStep {
     fn __repr__(&self) -> String {
         let s = &self.inner;
         format!(
-            "NavigationStep({} ({}), x {:.6}, y {:.6}, sigma {:.1} m east, {:.1} m north, within {:.1} m)",
+            "NavigatorStep({} ({}), x {:.6}, y {:.6}, sigma {:.1} m east, {:.1} m north, within {:.1} m)",
             s.status.as_str(),
             s.reason.as_str(),
             s.x,

@@ -28,7 +28,7 @@ pub(crate) enum End {
 
 /// Where an iteration ended.
 #[derive(Debug, Clone)]
-pub(crate) struct Outcome {
+pub(crate) struct Converged {
     /// From indicated to moved points, metres from the newest indicated point.
     pub transform: Transform,
     pub end: End,
@@ -110,7 +110,7 @@ impl<'a> Iccp<'a> {
     }
 
     /// Iterates from a start.
-    pub fn run(&self, start: Transform, monitor: &dyn Monitor) -> Result<Outcome> {
+    pub fn run(&self, start: Transform, monitor: &dyn Monitor) -> Result<Converged> {
         let mut pairs = Pairs::with_capacity(self.scene.len() * self.scene.channels.len());
         let mut hints = self.no_hints();
         let mut now = start;
@@ -124,7 +124,7 @@ impl<'a> Iccp<'a> {
         if self.options.radius_m.is_infinite() {
             reached = (0..self.scene.len()).filter(|&k| self.on_map(&now, k)).count();
             if reached < self.min_points {
-                return Ok(Outcome {
+                return Ok(Converged {
                     transform: now,
                     end: End::OutOfReach,
                     iterations,
@@ -172,7 +172,7 @@ impl<'a> Iccp<'a> {
             }
         }
         let misfit = self.scene.misfit(&|k| self.displacement(&now, k), &self.options.judgement(self.scene.len()));
-        Ok(Outcome { transform: now, end, iterations, reached, distance_squared, misfit })
+        Ok(Converged { transform: now, end, iterations, reached, distance_squared, misfit })
     }
 
     fn no_hints(&self) -> Vec<Hint> {
@@ -301,7 +301,7 @@ impl<'a> Iccp<'a> {
     }
 
     /// The common answer for the outcomes of all starts.
-    pub(crate) fn fix(&self, outcomes: &[Outcome], best: usize) -> Fix {
+    pub(crate) fn fix(&self, outcomes: &[Converged], best: usize) -> Fix {
         let outcome = &outcomes[best];
         let n = self.scene.len();
         let none = |status| Fix { iterations: outcome.iterations, ..Fix::none(status, outcome.reached) };

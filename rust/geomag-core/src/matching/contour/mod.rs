@@ -20,7 +20,7 @@ use crate::matching::starts::Starts;
 use crate::matching::transform::Transform;
 use crate::monitor::{Monitor, Quiet};
 use crate::track::Track;
-use iccp::Outcome;
+use iccp::Converged;
 
 /// ICCP of one map: the indicated track moved onto the contours of its measured values.
 ///
@@ -102,7 +102,7 @@ pub fn match_channels_monitored(
     let outcomes = starts
         .iter()
         .map(|&start| matcher.run(Transform { shift: start, ..Transform::IDENTITY }, monitor))
-        .collect::<Result<Vec<Outcome>>>()?;
+        .collect::<Result<Vec<Converged>>>()?;
     let Some(best) = winner(&outcomes) else {
         return Ok(Fix::none(Status::Lost, n));
     };
@@ -115,7 +115,7 @@ pub fn match_channels_monitored(
 }
 
 /// The outcome of least misfit; those out of reach only where there is no other.
-pub(crate) fn winner(outcomes: &[Outcome]) -> Option<usize> {
+pub(crate) fn winner(outcomes: &[Converged]) -> Option<usize> {
     (0..outcomes.len()).min_by(|&a, &b| {
         let key = |i: usize| (outcomes[i].end == End::OutOfReach, outcomes[i].misfit.unwrap_or(f64::INFINITY));
         let ((la, ma), (lb, mb)) = (key(a), key(b));

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::kernel::{LANES, Scores};
 use super::lattice::{lattice_variance, select};
 use super::noise::{LEVELS, Noise};
-use super::problem::{Prepared, Problem, Scope};
+use super::problem::{PreparedChannel, Problem, Scope};
 
 /// Logarithm of a share that changes no sum.
 pub(super) const NEGLIGIBLE_LOG: f64 = -36.0;
@@ -59,7 +59,7 @@ impl Problem<'_> {
     }
 
     /// Tempers of a channel's levels, from the means over the candidates that lie on the map.
-    pub fn tempering(&self, channel: &Prepared, blocks: &[Scores], levels: Range<usize>) -> Tempering {
+    pub fn tempering(&self, channel: &PreparedChannel, blocks: &[Scores], levels: Range<usize>) -> Tempering {
         let noise = &channel.noise;
         let (mut distance, mut map_variance, mut between, mut count) = (0.0_f64, 0.0_f64, 0.0_f64, 0.0_f64);
         for b in blocks {
@@ -87,7 +87,7 @@ impl Problem<'_> {
     /// correlation of the errors that it stands for.
     fn combine(
         &self,
-        channel: &Prepared,
+        channel: &PreparedChannel,
         blocks: &[Scores],
         levels: Range<usize>,
         log_p: &mut [f64],

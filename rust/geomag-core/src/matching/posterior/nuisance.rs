@@ -104,7 +104,7 @@ pub(super) fn leg_shapes(legs: &[usize], sigma: f64) -> Vec<Shape> {
 
 /// A slow change of the bias with a standard deviation over the track, as a line and the first waves of a random walk (its
 /// Karhunen-Loeve series; Van Trees, Detection, Estimation and Modulation Theory I, 1968, section 3.4); `age` from 1 to 0.
-pub(super) fn walk_shapes(age: &[f64], sigma: f64) -> Vec<Shape> {
+pub(super) fn drift_shapes(age: &[f64], sigma: f64) -> Vec<Shape> {
     (0..WALK_WAVES)
         .map(|i| {
             let k = (i as f64 + 0.5) * std::f64::consts::PI;
@@ -181,8 +181,8 @@ impl Nuisance {
         if options.leg_bias_sigma > 0.0 {
             shapes.extend(leg_shapes(&legs(away_m), options.leg_bias_sigma));
         }
-        if options.bias_walk > 0.0 {
-            shapes.extend(walk_shapes(age, options.bias_walk));
+        if options.bias_drift_sigma > 0.0 {
+            shapes.extend(drift_shapes(age, options.bias_drift_sigma));
         }
         parameters.resize(shapes.len(), Parameter { kind: Kind::Reading, sigma: 1.0 });
         let component = Component { at: vec![0.0; parameters.len()], moved_m: Vec::new(), height: 0, log_weight: 0.0 };

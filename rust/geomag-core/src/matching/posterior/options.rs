@@ -57,7 +57,7 @@ macro_rules! posterior_options {
                 (leg_bias_sigma: number = 0.0; "float";
                     "Standard deviation of the step of the bias from the first straight leg to every other, value units: what a field of the"
                     "vehicle that changes with its heading does.")
-                (bias_walk: number = 0.0; "float";
+                (bias_drift_sigma: number = 0.0; "float";
                     "Standard deviation of what a slow random walk of the bias amounts to over the track, value units.")
                 (height_sigma_m: number = 0.0; "float";
                     "Standard deviation of the height of the readings above the map, metres, at most 600: the map is continued to a few"
@@ -126,7 +126,7 @@ impl PosteriorOptions {
             ("scale_sigma", self.scale_sigma, 1.0),
             ("position_sigma_m", self.position_sigma_m, MOST_DRIFT_M),
             ("leg_bias_sigma", self.leg_bias_sigma, MOST_VALUE),
-            ("bias_walk", self.bias_walk, MOST_VALUE),
+            ("bias_drift_sigma", self.bias_drift_sigma, MOST_VALUE),
         ] {
             if require_not_negative(name, value)? > most {
                 return Err(Error::invalid(name, format!("at most {most}"), value));

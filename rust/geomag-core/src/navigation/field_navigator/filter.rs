@@ -3,18 +3,18 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::{FieldNavigator, Method, NavigatorOptions, Outcome};
+use super::{FieldNavigator, FieldNavigatorMethod, FieldNavigatorOptions, FieldNavigatorOutcome};
 use crate::error::{Error, Result};
 use crate::kalman::{Estimate, ExtendedKalmanFilter, Innovation, UnscentedKalmanFilter};
 use crate::state::Saved;
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) enum Filter {
+pub(super) enum FieldFilter {
     Unscented(UnscentedKalmanFilter),
     Extended(ExtendedKalmanFilter),
 }
 
-impl Filter {
+impl FieldFilter {
     pub fn check(&self) -> Result<()> {
         match self {
             Self::Unscented(f) => f.check(),
@@ -54,7 +54,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    pub fn new(options: &NavigatorOptions, numbers: usize) -> Self {
+    pub fn new(options: &FieldNavigatorOptions, numbers: usize) -> Self {
         let mut len = 2;
         let mut place = |wanted: bool, count: usize| {
             wanted.then(|| {
@@ -87,11 +87,13 @@ impl FieldNavigator {
             out[1] += dt_s * speed * cos;
         };
         let jacobian = match self.state.options.method {
-            Method::Unscented => Vec::new(),
-            Method::Extended => self.motion_jacobian(self.state.filter.estimate().mean(), dt_s, speed_m_s, course_deg),
+            FieldNavigatorMethod::Unscented => Vec::new(),
+            FieldNavigatorMethod::Extended => {
+                self.motion_jacobian(self.state.filter.estimate().mean(), dt_s, speed_m_s, course_deg)
+            }
         };
         match &mut self.state.filter {
-            Filter::Unscented(filter) => filter.predict_with(
+            FieldFilter::Unscented(filter) => filter.predict_with(
                 |points, out| {
                     let n = layout.len;
                     for (point, out) in points.as_slice().chunks_exact(n).zip(out.as_mut_slice().chunks_exact_mut(n)) {
@@ -101,7 +103,7 @@ impl FieldNavigator {
                 },
                 &noise,
             ),
-            Filter::Extended(filter) => {
+            FieldFilter::Extended(filter) => {
                 let mut moved = vec![0.0; layout.len];
                 motion(filter.estimate().mean(), &mut moved);
                 filter.predict(&moved, &jacobian, (&noise * noise.transpose()).as_slice())
@@ -109,19 +111,19 @@ impl FieldNavigator {
         }
     }
 
-    pub(super) fn update(&mut self, reading: &[f64], kept: &[usize]) -> Result<(Outcome, Option<f64>)> {
+    pub(super) fn update(&mut self, reading: &[f64], kept: &[usize]) -> Result<(FieldNavigatorOutcome, Option<f64>)> {
         let here = self.position();
         if !self.sensing.covers(here[0], here[1]) {
-            return Ok((Outcome::OffField, None));
+            return Ok((FieldNavigatorOutcome::OffField, None));
         }
-        let Some(noise) = self.reading_noise(here, kept) else { return Ok((Outcome::OffField, None)) };
+        let Some(noise) = self.reading_noise(here, kept) else { return Ok((FieldNavigatorOutcome::OffField, None)) };
         let gate = self.gates.get(kept.len() - 1).copied();
         let z: Vec<f64> = kept.iter().map(|&k| reading[k]).collect();
         let (sensing, layout, anchor) = (&self.sensing, self.state.layout, self.state.anchor);
         let scale = sensing.metres_per_unit(anchor[1]);
         let numbers = sensing.len();
         let found = match &mut self.state.filter {
-            Filter::Unscented(filter) => filter.update_with(
+            FieldFilter::Unscented(filter) => filter.update_with(
                 &z,
                 |points, out| {
                     let places: Vec<[f64; 2]> = points
@@ -143,10 +145,10 @@ impl FieldNavigator {
                 &noise,
                 gate,
             ),
-            Filter::Extended(filter) => {
+            FieldFilter::Extended(filter) => {
                 let expected = sensing.read_with_gradient(here[0], here[1]);
                 if expected.iter().any(|e| e.0.is_nan() || e.1.iter().any(|g| g.is_nan())) {
-                    return Ok((Outcome::OffField, None));
+                    return Ok((FieldNavigatorOutcome::OffField, None));
                 }
                 let mean = filter.estimate().mean();
                 let values: Vec<f64> =
@@ -157,10 +159,11 @@ impl FieldNavigator {
         };
         match found {
             Ok(innovation) => {
-                let outcome = if innovation.accepted { Outcome::Updated } else { Outcome::Rejected };
+                let outcome =
+                    if innovation.accepted { FieldNavigatorOutcome::Updated } else { FieldNavigatorOutcome::Rejected };
                 Ok((outcome, Some(innovation.nis)))
             }
-            Err(OffField::Off) => Ok((Outcome::OffField, None)),
+            Err(OffField::Off) => Ok((FieldNavigatorOutcome::OffField, None)),
             Err(OffField::Failed(error)) => Err(error),
         }
     }
@@ -175,14 +178,14 @@ impl FieldNavigator {
             noise[(i, i)] = (o.position_noise_m2_s * dt_s).sqrt();
         }
         if let Some(i) = layout.speed {
-            noise[(i, i)] = o.speed_walk * root;
+            noise[(i, i)] = o.speed_walk_m_s_sqrt_s * root;
         }
         if let Some(i) = layout.heading {
-            noise[(i, i)] = o.heading_walk_deg.to_radians() * root;
+            noise[(i, i)] = o.heading_walk_deg_sqrt_s.to_radians() * root;
         }
         if let Some(first) = layout.bias {
             for i in first..layout.len {
-                noise[(i, i)] = o.bias_walk * root;
+                noise[(i, i)] = o.bias_walk_sqrt_s * root;
             }
         }
         noise

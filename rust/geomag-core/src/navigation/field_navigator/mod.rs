@@ -7,8 +7,8 @@ mod filter;
 mod options;
 mod outcome;
 
-pub use options::{Method, NavigatorOptions};
-pub use outcome::{NavigatorStep, Outcome};
+pub use options::{FieldNavigatorMethod, FieldNavigatorOptions, GATE};
+pub use outcome::{FieldNavigatorOutcome, FieldNavigatorStep};
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ use crate::kalman::{
 };
 use crate::state::Saved;
 use crate::statistics::chi_square_survival;
-use filter::{Filter, Layout};
+use filter::{FieldFilter, Layout};
 
 /// Innovations over which the filter is judged.
 const WINDOW: usize = 20;
@@ -35,10 +35,10 @@ const MOST_LATITUDE_DEG: f64 = 89.9;
 
 /// Everything that changes from step to step, and what was asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct State {
-    options: NavigatorOptions,
+struct FieldNavigatorState {
+    options: FieldNavigatorOptions,
     layout: Layout,
-    filter: Filter,
+    filter: FieldFilter,
     /// Map coordinates that the state's metres are counted from: the start on geographic fields, moved with the vehicle.
     anchor: [f64; 2],
     time_s: f64,
@@ -80,10 +80,10 @@ pub struct FieldNavigator {
     sensing: Sensing,
     /// Bounds of the NIS for one, two, ... numbers.
     gates: Vec<f64>,
-    state: State,
+    state: FieldNavigatorState,
 }
 
-impl Saved for State {
+impl Saved for FieldNavigatorState {
     const NAME: &'static str = "FieldNavigator";
 
     fn check(&self) -> Result<()> {
@@ -116,7 +116,7 @@ impl FieldNavigator {
     /// # Errors
     /// [`Error::Invalid`], [`Error::NotFinite`], [`Error::Shape`], [`Error::NotPositiveDefinite`] for options that make no
     /// filter.
-    pub fn new(sensing: Sensing, options: NavigatorOptions) -> Result<Self> {
+    pub fn new(sensing: Sensing, options: FieldNavigatorOptions) -> Result<Self> {
         let numbers = sensing.len();
         options.check(numbers)?;
         require_place("start", sensing.geographic(), options.start)?;
@@ -152,10 +152,12 @@ impl FieldNavigator {
         // The matrix is symmetric only if the caller's is, which the estimate checks.
         let estimate = Estimate::new(&mean, covariance.transpose().as_slice())?;
         let filter = match options.method {
-            Method::Unscented => Filter::Unscented(UnscentedKalmanFilter::from_estimate(estimate, options.scaling)?),
-            Method::Extended => Filter::Extended(ExtendedKalmanFilter::from_estimate(estimate)),
+            FieldNavigatorMethod::Unscented => {
+                FieldFilter::Unscented(UnscentedKalmanFilter::from_estimate(estimate, options.scaling)?)
+            }
+            FieldNavigatorMethod::Extended => FieldFilter::Extended(ExtendedKalmanFilter::from_estimate(estimate)),
         };
-        let state = State {
+        let state = FieldNavigatorState {
             layout,
             filter,
             anchor: if geographic { start } else { [0.0, 0.0] },
@@ -169,7 +171,7 @@ impl FieldNavigator {
         Self::from_state(sensing, state)
     }
 
-    fn from_state(sensing: Sensing, state: State) -> Result<Self> {
+    fn from_state(sensing: Sensing, state: FieldNavigatorState) -> Result<Self> {
         let gates = match state.options.gate {
             None => Vec::new(),
             Some(p) => (1..=sensing.len()).map(|dof| chi_square_quantile(p, dof)).collect::<Result<_>>()?,
@@ -207,7 +209,7 @@ impl FieldNavigator {
     }
 
     /// What was asked for.
-    pub fn options(&self) -> &NavigatorOptions {
+    pub fn options(&self) -> &FieldNavigatorOptions {
         &self.state.options
     }
 
@@ -296,7 +298,7 @@ impl FieldNavigator {
         speed_m_s: f64,
         course_deg: f64,
         reading: Option<&[f64]>,
-    ) -> Result<NavigatorStep> {
+    ) -> Result<FieldNavigatorStep> {
         require_not_negative("dt_s", dt_s)?;
         require_finite("speed_m_s, course_deg", &[speed_m_s, course_deg])?;
         let numbers = self.sensing.len();
@@ -317,7 +319,12 @@ impl FieldNavigator {
         step
     }
 
-    fn take(&mut self, dt_s: f64, [speed_m_s, course_deg]: [f64; 2], reading: Option<&[f64]>) -> Result<NavigatorStep> {
+    fn take(
+        &mut self,
+        dt_s: f64,
+        [speed_m_s, course_deg]: [f64; 2],
+        reading: Option<&[f64]>,
+    ) -> Result<FieldNavigatorStep> {
         let numbers = self.sensing.len();
         self.predict(dt_s, speed_m_s, course_deg)?;
         self.require_room()?;
@@ -326,7 +333,7 @@ impl FieldNavigator {
         let kept: Vec<usize> = reading.map_or_else(Vec::new, |r| (0..numbers).filter(|&k| !r[k].is_nan()).collect());
         let (outcome, nis) = match reading {
             Some(reading) if !kept.is_empty() => self.update(reading, &kept)?,
-            _ => (Outcome::Predicted, None),
+            _ => (FieldNavigatorOutcome::Predicted, None),
         };
         if let Some(nis) = nis {
             let entry = (nis, kept.len());
@@ -339,14 +346,14 @@ impl FieldNavigator {
             self.state.next = (self.state.next + 1) % WINDOW;
         }
         match outcome {
-            Outcome::Updated => self.state.rejections = 0,
-            Outcome::Rejected => self.state.rejections = self.state.rejections.saturating_add(1),
-            Outcome::Predicted | Outcome::OffField => {}
+            FieldNavigatorOutcome::Updated => self.state.rejections = 0,
+            FieldNavigatorOutcome::Rejected => self.state.rejections = self.state.rejections.saturating_add(1),
+            FieldNavigatorOutcome::Predicted | FieldNavigatorOutcome::OffField => {}
         }
         self.require_room()?;
         self.follow();
         let [x, y] = self.position();
-        Ok(NavigatorStep {
+        Ok(FieldNavigatorStep {
             x,
             y,
             covariance_m2: self.covariance_m2(),

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// What a step did with its reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Outcome {
+pub enum FieldNavigatorOutcome {
     /// The reading corrected the state.
     Updated,
     /// There was no reading: dead reckoning.
@@ -15,7 +15,7 @@ pub enum Outcome {
     OffField,
 }
 
-impl Outcome {
+impl FieldNavigatorOutcome {
     /// The name used in Python and reports.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -29,7 +29,7 @@ impl Outcome {
 
 /// Where the navigator is after a step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct NavigatorStep {
+pub struct FieldNavigatorStep {
     /// Map coordinate.
     pub x: f64,
     /// Map coordinate.
@@ -37,7 +37,7 @@ pub struct NavigatorStep {
     /// Covariance of the position, square metres, east-north.
     pub covariance_m2: [[f64; 2]; 2],
     /// What became of the reading.
-    pub outcome: Outcome,
+    pub outcome: FieldNavigatorOutcome,
     /// Normalised innovation squared, where there was a reading that could be compared.
     pub nis: Option<f64>,
     /// Numbers in that reading.

@@ -31,18 +31,18 @@ fn start(seed: u64, sigma: f64) -> ([f64; 2], Pcg64) {
     (start, rng)
 }
 
-fn options(start: [f64; 2], sigma: f64) -> NavigatorOptions {
-    NavigatorOptions {
+fn options(start: [f64; 2], sigma: f64) -> FieldNavigatorOptions {
+    FieldNavigatorOptions {
         start,
         covariance_m2: [[sigma * sigma, 0.0], [0.0, sigma * sigma]],
         reading_sigma: vec![3.0],
         gate: None,
-        ..NavigatorOptions::default()
+        ..FieldNavigatorOptions::default()
     }
 }
 
 /// Sails 100 s with speed 2 m/s, course 60 degrees; the errors and the normalised errors of every step.
-fn sail(sensing: &Sensing, options: NavigatorOptions, rng: &mut Pcg64) -> Vec<(f64, f64)> {
+fn sail(sensing: &Sensing, options: FieldNavigatorOptions, rng: &mut Pcg64) -> Vec<(f64, f64)> {
     let q = options.position_noise_m2_s;
     let sigma = options.reading_sigma[0];
     let mut navigator = FieldNavigator::new(sensing.clone(), options).unwrap();
@@ -68,12 +68,12 @@ fn sail(sensing: &Sensing, options: NavigatorOptions, rng: &mut Pcg64) -> Vec<(f
 
 #[test]
 fn normalised_errors_are_consistent_over_200_seeds() {
-    for method in [Method::Unscented, Method::Extended] {
+    for method in [FieldNavigatorMethod::Unscented, FieldNavigatorMethod::Extended] {
         let (mut sum, mut count) = (0.0, 0.0);
         for seed in 0..200 {
             let sensing = Sensing::at_down(model(3.0, seed), Sensor::Vector, 0.0).unwrap();
             let (start, mut rng) = start(1000 + seed, 1.4);
-            let steps = sail(&sensing, NavigatorOptions { method, ..options(start, 1.4) }, &mut rng);
+            let steps = sail(&sensing, FieldNavigatorOptions { method, ..options(start, 1.4) }, &mut rng);
             sum += steps[20..].iter().map(|s| s.1).sum::<f64>();
             count += 80.0;
         }
@@ -104,8 +104,8 @@ fn errors_are_near_the_bound() {
 #[test]
 fn finds_speed_heading_and_bias() {
     let sensing = Sensing::at_down(model(3.0, 5), Sensor::Vector, 0.0).unwrap();
-    for method in [Method::Unscented, Method::Extended] {
-        let options = NavigatorOptions {
+    for method in [FieldNavigatorMethod::Unscented, FieldNavigatorMethod::Extended] {
+        let options = FieldNavigatorOptions {
             speed_sigma_m_s: 0.3,
             heading_sigma_deg: 5.0,
             bias_sigma: 20.0,
@@ -189,30 +189,30 @@ fn geographic_fields_are_sailed_in_metres() {
 #[test]
 fn outages_gates_and_edges_are_told_apart() {
     let sensing = Sensing::at_down(model(3.0, 17), Sensor::Vector, 0.0).unwrap();
-    let gated = NavigatorOptions { gate: Some(0.999), ..options([100.0, 45.0], 1.0) };
+    let gated = FieldNavigatorOptions { gate: Some(0.999), ..options([100.0, 45.0], 1.0) };
     let mut navigator = FieldNavigator::new(sensing.clone(), gated.clone()).unwrap();
-    assert_eq!(navigator.step(1.0, 2.0, 60.0, None).unwrap().outcome, Outcome::Predicted);
+    assert_eq!(navigator.step(1.0, 2.0, 60.0, None).unwrap().outcome, FieldNavigatorOutcome::Predicted);
     let step = navigator.step(1.0, 2.0, 60.0, Some(&[f64::NAN; 3])).unwrap();
-    assert_eq!((step.outcome, step.nis), (Outcome::Predicted, None));
+    assert_eq!((step.outcome, step.nis), (FieldNavigatorOutcome::Predicted, None));
     let mut reading = [0.0; 3];
     sensing.read(&[navigator.position()], &mut reading);
     reading[1] = f64::NAN;
     let step = navigator.step(0.0, 2.0, 60.0, Some(&reading)).unwrap();
-    assert_eq!((step.outcome, step.dof), (Outcome::Updated, 2));
+    assert_eq!((step.outcome, step.dof), (FieldNavigatorOutcome::Updated, 2));
     for k in 0..10 {
         let step = navigator.step(1.0, 2.0, 60.0, Some(&[9e3, 9e3, 9e3])).unwrap();
-        assert_eq!(step.outcome, Outcome::Rejected);
+        assert_eq!(step.outcome, FieldNavigatorOutcome::Rejected);
         assert_eq!(step.diverged, k == 9);
     }
-    let away = NavigatorOptions { start: [5000.0, 0.0], ..gated };
+    let away = FieldNavigatorOptions { start: [5000.0, 0.0], ..gated };
     let mut outside = FieldNavigator::new(sensing, away).unwrap();
-    assert_eq!(outside.step(1.0, 2.0, 60.0, Some(&[0.0; 3])).unwrap().outcome, Outcome::OffField);
+    assert_eq!(outside.step(1.0, 2.0, 60.0, Some(&[0.0; 3])).unwrap().outcome, FieldNavigatorOutcome::OffField);
 }
 
 #[test]
 fn divergence_shows_in_the_innovations() {
     let sensing = Sensing::at_down(model(3.0, 19), Sensor::Vector, 0.0).unwrap();
-    let lost = NavigatorOptions {
+    let lost = FieldNavigatorOptions {
         covariance_m2: [[0.01, 0.0], [0.0, 0.01]],
         position_noise_m2_s: 1e-6,
         ..options([300.0, -200.0], 1.0)
@@ -230,8 +230,8 @@ fn divergence_shows_in_the_innovations() {
 #[test]
 fn goes_on_bit_for_bit_after_a_save() {
     let sensing = Sensing::at_down(model(3.0, 23), Sensor::Vector, 0.0).unwrap();
-    for method in [Method::Unscented, Method::Extended] {
-        let options = NavigatorOptions { method, bias_sigma: 3.0, ..options([101.0, 46.0], 2.0) };
+    for method in [FieldNavigatorMethod::Unscented, FieldNavigatorMethod::Extended] {
+        let options = FieldNavigatorOptions { method, bias_sigma: 3.0, ..options([101.0, 46.0], 2.0) };
         let mut first = FieldNavigator::new(sensing.clone(), options).unwrap();
         let step = |navigator: &mut FieldNavigator, k: u32| {
             let mut reading = [0.0; 3];
@@ -255,11 +255,11 @@ fn refuses_bad_input() {
     let sensing = Sensing::at_down(model(3.0, 29), Sensor::Vector, 0.0).unwrap();
     let make = |o| FieldNavigator::new(sensing.clone(), o);
     let good = options([100.0, 45.0], 1.0);
-    assert!(make(NavigatorOptions { position_noise_m2_s: -1.0, ..good.clone() }).is_err());
-    assert!(make(NavigatorOptions { reading_sigma: vec![1.0, 2.0], ..good.clone() }).is_err());
-    assert!(make(NavigatorOptions { covariance_m2: [[1.0, 2.0], [2.0, 1.0]], ..good.clone() }).is_err());
-    assert!(make(NavigatorOptions { gate: Some(1.0), ..good.clone() }).is_err());
-    assert!(make(NavigatorOptions { start: [f64::NAN, 0.0], ..good.clone() }).is_err());
+    assert!(make(FieldNavigatorOptions { position_noise_m2_s: -1.0, ..good.clone() }).is_err());
+    assert!(make(FieldNavigatorOptions { reading_sigma: vec![1.0, 2.0], ..good.clone() }).is_err());
+    assert!(make(FieldNavigatorOptions { covariance_m2: [[1.0, 2.0], [2.0, 1.0]], ..good.clone() }).is_err());
+    assert!(make(FieldNavigatorOptions { gate: Some(1.0), ..good.clone() }).is_err());
+    assert!(make(FieldNavigatorOptions { start: [f64::NAN, 0.0], ..good.clone() }).is_err());
     let mut navigator = make(good).unwrap();
     assert!(matches!(navigator.step(-1.0, 0.0, 0.0, None), Err(Error::Invalid { .. })));
     assert!(matches!(navigator.step(1.0, f64::NAN, 0.0, None), Err(Error::NotFinite { .. })));

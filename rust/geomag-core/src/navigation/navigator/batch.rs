@@ -8,7 +8,7 @@ use crate::bounds::{require_place, require_spread, require_values};
 
 use serde::{Deserialize, Serialize};
 
-use super::law::{MapLaw, Place};
+use super::law::{MapLaw, MapPlace};
 
 /// Most readings that are kept of a batch.
 const MOST: usize = 64;
@@ -90,7 +90,7 @@ impl Batch {
     }
 
     /// Takes a reading. A batch of more than 64 keeps every second one, and from then on half of those that come.
-    pub fn push(&mut self, reading: Reading, law: &MapLaw, place: Place) {
+    pub fn push(&mut self, reading: Reading, law: &MapLaw, place: MapPlace) {
         if self.readings.is_empty() {
             (self.gathered_m, self.every, self.seen) = (0.0, 1, 0);
             self.length_m = 0.0;

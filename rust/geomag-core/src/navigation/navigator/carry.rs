@@ -1,7 +1,7 @@
 //! Carrying the errors on from one step to the next.
 
 use super::motion::{
-    ACCELEROMETER, COUPLED, FASTEST_M_S, GYRO, INS_STATES, Motion, Rows, TILT, VELOCITY, rates, transition,
+    ACCELEROMETER, COUPLED, FASTEST_M_S, GYRO, INS_STATES, Rows, TILT, VELOCITY, VehicleMotion, rates, transition,
 };
 use super::options::MOST_SIGMA_M;
 use super::outcome::Inputs;
@@ -104,7 +104,7 @@ impl Navigator {
         for k in 0..pieces as usize {
             let share = (k as f64 + 0.5) / pieces;
             let velocity_m_s = [0, 1].map(|axis| from[axis] + share * change[axis]);
-            let motion = Motion {
+            let motion = VehicleMotion {
                 latitude_rad,
                 radii_m,
                 velocity_m_s,

@@ -1,6 +1,6 @@
 //! Measurements of other kinds: positions and velocities from elsewhere, a new start.
 
-use super::filter::Filter;
+use super::filter::ErrorFilter;
 use super::integrity::RunningNis;
 use super::motion::{FASTEST_M_S, POSITION, VELOCITY};
 use super::options::check_covariance;
@@ -114,7 +114,7 @@ impl Navigator {
     }
 
     fn pair_nis(&self, first: usize, error: [f64; 2], covariance: [[f64; 2]; 2]) -> f64 {
-        let f: &Filter = &self.state.filter;
+        let f: &ErrorFilter = &self.state.filter;
         let d = [0, 1].map(|axis| error[axis] - f.mean()[first + axis]);
         let s = |i: usize, j: usize| f.at(first + i, first + j) + covariance[i][j];
         let (a, b, c) = (s(0, 0), s(0, 1), s(1, 1));

@@ -39,12 +39,12 @@ impl Stuck {
 
 /// A run of innovations of one sign.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct Shift {
+pub(super) struct LevelShift {
     count: u32,
     sum: f64,
 }
 
-impl Shift {
+impl LevelShift {
     /// Takes an innovation and its standard deviation; the jump, where there is one.
     pub fn take(&mut self, innovation: f64, sigma: f64, single: bool) -> Option<f64> {
         if innovation.abs() < BEYOND * sigma || innovation * self.sum < 0.0 {
@@ -83,10 +83,10 @@ mod tests {
 
     #[test]
     fn a_row_of_one_sign_is_a_jump_and_noise_is_none() {
-        let mut shift = Shift::default();
+        let mut shift = LevelShift::default();
         let jumps: Vec<_> = (0..5).filter_map(|_| shift.take(50.0, 10.0, false)).collect();
         assert_eq!(jumps, [50.0]);
-        let mut shift = Shift::default();
+        let mut shift = LevelShift::default();
         assert!((0..50).all(|k| shift.take(if k % 2 == 0 { 50.0 } else { -50.0 }, 10.0, false).is_none()));
         assert!((0..50).all(|_| shift.take(15.0, 10.0, false).is_none()));
     }

@@ -22,7 +22,7 @@ fn padded(states: usize) -> usize {
 
 /// Mean and covariance of the errors; the covariance is symmetric, updated in Joseph's form.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct Filter {
+pub(super) struct ErrorFilter {
     states: usize,
     /// Padded with zeros, as the rows of the covariance are.
     mean: Vec<f64>,
@@ -39,7 +39,7 @@ pub(super) struct Predicted {
 
 /// Buffers that a step needs, kept so that no step allocates.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Scratch {
+pub(super) struct FilterScratch {
     product: Vec<f64>,
     turned: Vec<f64>,
     gain: Vec<f64>,
@@ -57,7 +57,7 @@ fn add_scaled(y: &mut [f64], a: f64, x: &[f64]) {
     }
 }
 
-impl Filter {
+impl ErrorFilter {
     /// Zero mean and these variances.
     pub fn new(variances: &[f64]) -> Self {
         let states = variances.len();
@@ -133,7 +133,7 @@ impl Filter {
     }
 
     /// x <- Phi x, P <- Phi P Phi' + Q, with the coupled rows of Phi, a factor for every other state, and a diagonal Q.
-    pub fn predict(&mut self, phi: &Rows, factors: &[f64], noise: &[f64], scratch: &mut Scratch) {
+    pub fn predict(&mut self, phi: &Rows, factors: &[f64], noise: &[f64], scratch: &mut FilterScratch) {
         let (n, stride) = (self.states, padded(self.states));
         let product = &mut scratch.product;
         product.clear();
@@ -227,7 +227,7 @@ impl Filter {
     }
 
     /// H P H' and P H' (kept in `scratch`) of a measurement with few nonzero slopes, `(state, slope)`.
-    pub fn project(&self, slopes: &[(usize, f64)], scratch: &mut Scratch) -> Predicted {
+    pub fn project(&self, slopes: &[(usize, f64)], scratch: &mut FilterScratch) -> Predicted {
         let stride = padded(self.states);
         let cross = &mut scratch.cross;
         cross.clear();
@@ -244,21 +244,21 @@ impl Filter {
         RESOLVED * slopes.iter().map(|&(k, h)| h * h * self.at(k, k)).sum::<f64>()
     }
 
-    /// Takes a number in after [`Filter::project`] with the same slopes: P <- (I - K H) P (I - K H)' + K R K', which stays positive.
+    /// Takes a number in after [`ErrorFilter::project`] with the same slopes: P <- (I - K H) P (I - K H)' + K R K', which stays positive.
     pub fn update(
         &mut self,
         slopes: &[(usize, f64)],
         predicted: Predicted,
         innovation: f64,
         noise: f64,
-        scratch: &mut Scratch,
+        scratch: &mut FilterScratch,
     ) {
         let (n, stride) = (self.states, padded(self.states));
         let total = predicted.variance + noise;
         if !(total > 0.0) {
             return;
         }
-        let Scratch { gain, cross, .. } = scratch;
+        let FilterScratch { gain, cross, .. } = scratch;
         gain.clear();
         gain.extend(cross.iter().map(|c| c / total));
         add_scaled(&mut self.mean, innovation, gain);

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::options::{Method, NavigatorOptions};
+use super::options::{NavigatorMethod, NavigatorOptions};
 use super::outcome::{Indicated, Inputs, NavigatorStep};
 use super::particles::Particles;
 use super::smooth::Record;
@@ -87,7 +87,7 @@ impl FlightInput<'_> {
 
 /// What became of a flight.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Flight {
+pub struct NavigatedFlight {
     /// One a step.
     pub steps: Vec<NavigatorStep>,
     /// Which INS output there was.
@@ -131,7 +131,7 @@ pub fn navigate(
     options: NavigatorOptions,
     smoothing: Smoothing,
     monitor: &dyn Monitor,
-) -> Result<Flight> {
+) -> Result<NavigatedFlight> {
     input.check()?;
     if let Smoothing::Lag(lag) = smoothing {
         require_not_negative("lag_s", lag)?;
@@ -143,7 +143,7 @@ pub fn navigate(
         let needed = format!("({}, {terms}) as time_s and terms_covariance", input.len());
         return Err(Error::shape("terms", needed, format!("{} numbers", given.len())));
     }
-    if options.method == Method::Rbpf {
+    if options.method == NavigatorMethod::Rbpf {
         if smoothing != Smoothing::No {
             return Err(Error::invalid("smooth", "None with method 'rbpf'", "a lag"));
         }
@@ -154,7 +154,7 @@ pub fn navigate(
             }
             steps.push(particles.step(&input.at(k)).map_err(|e| at_step(e, k))?);
         }
-        return Ok(Flight { steps, inputs: particles.inputs(), state: particles.mean(), smoothed: None });
+        return Ok(NavigatedFlight { steps, inputs: particles.inputs(), state: particles.mean(), smoothed: None });
     }
     let mut navigator = Navigator::new(field, options)?;
     navigator.record = (smoothing != Smoothing::No).then(Record::default);
@@ -182,7 +182,7 @@ pub fn navigate(
         places.collect()
     });
     let state = navigator.mean().to_vec();
-    Ok(Flight { steps, inputs: navigator.inputs(), state, smoothed })
+    Ok(NavigatedFlight { steps, inputs: navigator.inputs(), state, smoothed })
 }
 
 /// Names the step in an error.

@@ -1,7 +1,7 @@
 //! How the navigator stands to the map: its status, and why.
 
 use super::integrity::axes;
-use super::outcome::{Outcome, Reason, Status};
+use super::outcome::{NavigatorOutcome, NavigatorStatus, Reason};
 use super::state::{Navigator, Newest};
 
 /// Time without a usable reading after which the navigator coasts, seconds.
@@ -14,15 +14,15 @@ impl Navigator {
     /// Sets the status after a correction between two steps.
     pub(super) fn judge_again(&mut self) {
         if let Some(now) = self.state.newest {
-            self.judge(&now, Outcome::Waiting);
+            self.judge(&now, NavigatorOutcome::Waiting);
         }
     }
 
     /// Sets the status.
-    pub(super) fn judge(&mut self, now: &Newest, outcome: Outcome) {
+    pub(super) fn judge(&mut self, now: &Newest, outcome: NavigatorOutcome) {
         let sigma = axes(self.reported_m2())[0];
         let range = self.law.linear_m;
-        let was_lost = self.state.status == Status::Lost;
+        let was_lost = self.state.status == NavigatorStatus::Lost;
         let silent = self.state.heard_s.is_none_or(|t| now.time_s - t > COASTING_S);
         let limit = if !self.state.tracked {
             range
@@ -33,9 +33,9 @@ impl Navigator {
         };
         (self.state.status, self.state.reason) = if sigma > limit {
             if self.state.tracked {
-                (Status::Lost, Reason::Uncertain)
+                (NavigatorStatus::Lost, Reason::Uncertain)
             } else {
-                (Status::Acquiring, Reason::StartUncertain)
+                (NavigatorStatus::Acquiring, Reason::StartUncertain)
             }
         } else if silent {
             let reason = match (self.state.off_map, self.state.is_stuck) {
@@ -43,14 +43,14 @@ impl Navigator {
                 (false, true) => Reason::StuckSensor,
                 (false, false) => Reason::NoReading,
             };
-            (Status::Coasting, reason)
+            (NavigatorStatus::Coasting, reason)
         } else if self.state.is_stuck {
-            (Status::Coasting, Reason::StuckSensor)
-        } else if outcome == Outcome::OffMap {
-            (Status::Coasting, Reason::OffMap)
+            (NavigatorStatus::Coasting, Reason::StuckSensor)
+        } else if outcome == NavigatorOutcome::OffMap {
+            (NavigatorStatus::Coasting, Reason::OffMap)
         } else {
             self.state.tracked = true;
-            (Status::Tracking, Reason::Readings)
+            (NavigatorStatus::Tracking, Reason::Readings)
         };
     }
 }

@@ -1,6 +1,6 @@
 //! What the map says of its own errors, as a filter needs it; and what is taken where it says nothing.
 
-use super::options::{Method, NavigatorOptions};
+use super::options::{NavigatorMethod, NavigatorOptions};
 use crate::field::Field;
 use crate::grid::{GridMap, Interpolation};
 use crate::map_error::{DistanceLayer, FilterLaw};
@@ -21,7 +21,7 @@ const LOOKS: usize = 128;
 
 /// The errors of a map at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
+pub(super) struct MapPlace {
     /// Standard deviation of one sample, value units.
     pub sigma: f64,
     /// Distance to the data, metres.
@@ -52,7 +52,7 @@ impl MapLaw {
         let model = grid.and_then(GridMap::error_model);
         let looked = Looked::at(field);
         let bare = grid.is_some_and(|g| g.map_sigma().is_none() && g.error_model().is_none());
-        let textbook = options.method != Method::Navigator;
+        let textbook = options.method != NavigatorMethod::Navigator;
         let exact = textbook || (!bare && model.is_none() && looked.sigma == 0.0);
         let usual_distance_m = match model.map(|m| &m.distance_m) {
             Some(DistanceLayer::Constant(d)) => *d,
@@ -91,13 +91,13 @@ impl MapLaw {
     }
 
     /// What is known at a place; `None` where the field's error is unknown.
-    pub fn at(&self, field: &dyn Field, x: f64, y: f64, height_m: Option<f64>) -> Option<Place> {
+    pub fn at(&self, field: &dyn Field, x: f64, y: f64, height_m: Option<f64>) -> Option<MapPlace> {
         let sigma = match height_m {
             Some(height) => Some(field.sigma_at(x, y, height)).filter(|s| !s.is_nan()),
             None => field.known_sigma(x, y),
         }?;
         let sigma = if sigma == 0.0 { self.bare_sigma } else { sigma };
-        Some(Place { sigma: self.law.sample_factor * sigma, distance_m: self.distance_m(field, x, y) })
+        Some(MapPlace { sigma: self.law.sample_factor * sigma, distance_m: self.distance_m(field, x, y) })
     }
 
     /// Distance to the data at a place, metres.

@@ -7,7 +7,7 @@
 use super::correct::CONTRADICTION;
 use super::integrity::axes;
 use super::motion::{POSITION, VELOCITY};
-use super::outcome::Status;
+use super::outcome::NavigatorStatus;
 use super::plan::MatcherPlan;
 use super::state::{Navigator, Newest};
 use super::watch::TimedSample;
@@ -144,7 +144,7 @@ impl Navigator {
         let nis = self.position_nis(error, covariance);
         if nis > CONTRADICTION {
             self.state.watch.contradictions = self.state.watch.contradictions.saturating_add(1);
-            if self.state.watch.contradictions >= 2 || alarm || self.state.status == Status::Lost {
+            if self.state.watch.contradictions >= 2 || alarm || self.state.status == NavigatorStatus::Lost {
                 self.state.watch.contradictions = 0;
                 self.state.last_fix_s = Some(now.time_s);
                 self.start_again(error, covariance);

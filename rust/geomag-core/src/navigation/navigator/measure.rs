@@ -2,7 +2,7 @@
 
 use super::batch::Reading;
 use super::motion::{POSITION, VELOCITY};
-use super::outcome::{Indicated, Outcome};
+use super::outcome::{Indicated, NavigatorOutcome};
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION, STATES};
 use super::watch::TimedSample;
@@ -27,8 +27,8 @@ impl Navigator {
         value: Option<f64>,
         height_m: Option<f64>,
         terms: &[f64],
-    ) -> (Outcome, Option<f64>) {
-        let mut outcome = Outcome::Waiting;
+    ) -> (NavigatorOutcome, Option<f64>) {
+        let mut outcome = NavigatorOutcome::Waiting;
         if let Some(value) = value {
             let error = [self.state.filter.mean()[POSITION], self.state.filter.mean()[POSITION + 1]];
             let [x, y] = self.corrected(now.x, now.y, error);
@@ -62,7 +62,7 @@ impl Navigator {
                     }
                 }
             } else {
-                outcome = Outcome::OffMap;
+                outcome = NavigatorOutcome::OffMap;
             }
         }
         if !self.state.batch.is_full(now.time_s) {
@@ -71,8 +71,10 @@ impl Navigator {
         let used = self.use_batch(now);
         self.state.batch.clear();
         match used {
-            Some((nis, weight)) => (if weight < 1.0 { Outcome::Downweighted } else { Outcome::Updated }, Some(nis)),
-            None => (Outcome::OffMap, None),
+            Some((nis, weight)) => {
+                (if weight < 1.0 { NavigatorOutcome::Downweighted } else { NavigatorOutcome::Updated }, Some(nis))
+            }
+            None => (NavigatorOutcome::OffMap, None),
         }
     }
 

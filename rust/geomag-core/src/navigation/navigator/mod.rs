@@ -46,11 +46,11 @@ mod step;
 mod tests;
 
 pub use correct::Correction;
-pub use flight::{Flight, FlightInput, SmoothedPlace, Smoothing, navigate};
+pub use flight::{FlightInput, NavigatedFlight, SmoothedPlace, Smoothing, navigate};
 pub use ins::{GRAVITY_M_S2, InsModel};
 pub use integrity::radii_m;
 pub use motion::EARTH_RATE_RAD_S;
-pub use options::{Method, NavigatorOptions};
-pub use outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
+pub use options::{NavigatorMethod, NavigatorOptions};
+pub use outcome::{Indicated, Inputs, NavigatorOutcome, NavigatorStatus, NavigatorStep, Reason};
 pub use plan::MatcherPlan;
 pub use state::Navigator;

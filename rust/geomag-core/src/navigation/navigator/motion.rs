@@ -40,7 +40,7 @@ pub(super) const COUPLED: usize = GYRO;
 
 /// Where the vehicle is and how it moves, as far as the errors care.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Motion {
+pub(super) struct VehicleMotion {
     pub latitude_rad: f64,
     /// Radii of curvature for motion to the east and to the north, metres.
     pub radii_m: [f64; 2],
@@ -57,8 +57,8 @@ pub(super) struct Motion {
 pub(super) type Rows = [[f64; INS_STATES]; COUPLED];
 
 /// The coupled rows of F in x' = F x, per second.
-pub(super) fn rates(motion: &Motion) -> Rows {
-    let Motion { radii_m: [re, rn], velocity_m_s: [ve, vn], .. } = *motion;
+pub(super) fn rates(motion: &VehicleMotion) -> Rows {
+    let VehicleMotion { radii_m: [re, rn], velocity_m_s: [ve, vn], .. } = *motion;
     let (sin, cos) = (libm::sin(motion.latitude_rad), libm::cos(motion.latitude_rad));
     let tan = sin / cos;
     let w = EARTH_RATE_RAD_S;

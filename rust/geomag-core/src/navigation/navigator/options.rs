@@ -10,7 +10,7 @@ use crate::error::{Error, Result, require_finite, require_positive};
 
 /// Which filter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub enum Method {
+pub enum NavigatorMethod {
     /// That of this module.
     #[default]
     Navigator,
@@ -22,7 +22,7 @@ pub enum Method {
     Rbpf,
 }
 
-impl Method {
+impl NavigatorMethod {
     /// As it is written.
     pub fn as_str(self) -> &'static str {
         match self {

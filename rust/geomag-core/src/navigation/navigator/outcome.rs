@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// How the navigator stands to the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Status {
+pub enum NavigatorStatus {
     /// The start is not known well enough to track yet.
     Acquiring,
     /// Readings keep the position.
@@ -15,7 +15,7 @@ pub enum Status {
     Lost,
 }
 
-impl Status {
+impl NavigatorStatus {
     /// As it is written.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -63,7 +63,7 @@ impl Reason {
 
 /// What became of the readings at a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Outcome {
+pub enum NavigatorOutcome {
     /// No reading, or one that waits for the rest of its batch.
     Waiting,
     /// A measurement was used.
@@ -74,7 +74,7 @@ pub enum Outcome {
     OffMap,
 }
 
-impl Outcome {
+impl NavigatorOutcome {
     /// As it is written.
     pub fn as_str(self) -> &'static str {
         match self {
@@ -154,11 +154,11 @@ pub struct NavigatorStep {
     /// Error of the sensor as estimated, value units.
     pub bias: f64,
     /// How the navigator stands to the map.
-    pub status: Status,
+    pub status: NavigatorStatus,
     /// Why.
     pub reason: Reason,
     /// What became of the readings.
-    pub outcome: Outcome,
+    pub outcome: NavigatorOutcome,
     /// Normalised innovation squared of a measurement taken at this step.
     pub nis: Option<f64>,
     /// Running mean of these: 1 where the covariance is right.

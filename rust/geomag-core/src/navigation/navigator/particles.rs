@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use super::measure::value_at;
 use super::motion::{COUPLED, INS_STATES, POSITION, Rows, TILT, VELOCITY};
 use super::options::NavigatorOptions;
-use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome, Reason, Status};
+use super::outcome::{Indicated, Inputs, NavigatorOutcome, NavigatorStatus, NavigatorStep, Reason};
 use super::state::Navigator;
 use super::states::{BIAS, STATES};
 use crate::error::{Error, Result};
@@ -97,18 +97,18 @@ impl Particles {
         self.frame.state.steps += 1;
         let outcome = match indicated.value.filter(|v| !v.is_nan()) {
             Some(value) => self.read(now.x, now.y, indicated.height_m, value),
-            None => Outcome::Waiting,
+            None => NavigatorOutcome::Waiting,
         };
         Ok(self.answer(now.x, now.y, outcome))
     }
 
     /// Weighs the particles by a reading, corrects the linear states, and draws anew where few particles have all the weight.
-    fn read(&mut self, x: f64, y: f64, height_m: Option<f64>, value: f64) -> Outcome {
+    fn read(&mut self, x: f64, y: f64, height_m: Option<f64>, value: f64) -> NavigatorOutcome {
         let bias = LINEAR - 1;
         let noise = self.frame.options().reading_sigma.powi(2);
         let variance = self.covariance[(bias, bias)] + noise;
         if !(variance > 0.0) {
-            return Outcome::Waiting;
+            return NavigatorOutcome::Waiting;
         }
         let gain: Linear = self.covariance.column(bias) / variance;
         let innovations: Vec<f64> = self
@@ -122,7 +122,7 @@ impl Particles {
             .collect();
         let least = innovations.iter().filter(|i| !i.is_nan()).map(|i| i * i).fold(f64::INFINITY, f64::min);
         if least == f64::INFINITY {
-            return Outcome::OffMap;
+            return NavigatorOutcome::OffMap;
         }
         let mut total = 0.0;
         for ((weight, linear), innovation) in self.weights.iter_mut().zip(&mut self.linear).zip(&innovations) {
@@ -137,7 +137,7 @@ impl Particles {
         if !(total > 0.0) {
             // Those near the reading had no weight before: it is all alike again.
             self.weights.fill(1.0 / COUNT as f64);
-            return Outcome::Downweighted;
+            return NavigatorOutcome::Downweighted;
         }
         self.weights.iter_mut().for_each(|w| *w /= total);
         self.covariance -= gain * gain.transpose() * variance;
@@ -145,7 +145,7 @@ impl Particles {
         if effective < 0.5 * COUNT as f64 {
             self.draw_anew();
         }
-        Outcome::Updated
+        NavigatorOutcome::Updated
     }
 
     /// Systematic resampling.
@@ -217,7 +217,7 @@ impl Particles {
         (mean, covariance)
     }
 
-    fn answer(&self, x: f64, y: f64, outcome: Outcome) -> NavigatorStep {
+    fn answer(&self, x: f64, y: f64, outcome: NavigatorOutcome) -> NavigatorStep {
         let (mean, c) = self.place();
         let linear = self.linear_mean();
         let [x, y] = self.frame.corrected(x, y, [mean[0], mean[1]]);
@@ -232,8 +232,12 @@ impl Particles {
             heading_error_deg: -linear[TILT].to_degrees(),
             tilt_error_mrad: [1e3 * linear[TILT - 2], 1e3 * linear[TILT - 1]],
             bias: linear[LINEAR - 1],
-            status: if outcome == Outcome::OffMap { Status::Coasting } else { Status::Tracking },
-            reason: if outcome == Outcome::OffMap { Reason::OffMap } else { Reason::Readings },
+            status: if outcome == NavigatorOutcome::OffMap {
+                NavigatorStatus::Coasting
+            } else {
+                NavigatorStatus::Tracking
+            },
+            reason: if outcome == NavigatorOutcome::OffMap { Reason::OffMap } else { Reason::Readings },
             outcome,
             nis: None,
             running_nis: 1.0,

@@ -12,7 +12,7 @@
 //!
 //! Source: Bierman, *Factorization Methods for Discrete Sequential Estimation*, ch. X; Gibbs, *Advanced Kalman Filtering*, ch. 6.
 
-use super::filter::Filter;
+use super::filter::ErrorFilter;
 use super::motion::{COUPLED, INS_STATES, POSITION, Rows};
 
 /// One thing that the filter did.
@@ -56,7 +56,7 @@ impl Record {
         self.deeds.push(Deed::Replaced(states.to_vec()));
     }
 
-    pub fn stepped(&mut self, filter: &Filter) {
+    pub fn stepped(&mut self, filter: &ErrorFilter) {
         let n = filter.len();
         self.states = n;
         let mean = [filter.mean()[POSITION], filter.mean()[POSITION + 1]];

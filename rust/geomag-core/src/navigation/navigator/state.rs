@@ -5,13 +5,13 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::batch::{Batch, Chosen};
-use super::doubt::{Shift, Stuck};
-use super::filter::{Filter, Scratch};
+use super::doubt::{LevelShift, Stuck};
+use super::filter::{ErrorFilter, FilterScratch};
 use super::integrity::{Radius, RunningNis, widening};
 use super::law::MapLaw;
 use super::motion::{ACCELEROMETER, FASTEST_M_S, GYRO, POSITION, TILT, VELOCITY};
-use super::options::{Method, NavigatorOptions};
-use super::outcome::{Inputs, Reason, Status};
+use super::options::{NavigatorMethod, NavigatorOptions};
+use super::outcome::{Inputs, NavigatorStatus, Reason};
 use super::smooth::Record;
 use super::states::{BIAS, STATES};
 use super::watch::Watch;
@@ -33,17 +33,17 @@ pub(super) struct Newest {
 /// Everything that changes from step to step, and what was asked for.
 #[allow(clippy::struct_excessive_bools)] // independent facts about the flight so far
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct State {
+pub(super) struct NavigatorState {
     pub options: NavigatorOptions,
-    pub filter: Filter,
+    pub filter: ErrorFilter,
     pub batch: Batch,
     pub running: RunningNis,
     pub watch: Watch,
     pub stuck: Stuck,
-    pub shift: Shift,
+    pub shift: LevelShift,
     pub newest: Option<Newest>,
     pub inputs: Inputs,
-    pub status: Status,
+    pub status: NavigatorStatus,
     pub reason: Reason,
     /// Time of the newest reading that the map has a value for.
     pub heard_s: Option<f64>,
@@ -98,7 +98,7 @@ pub struct Navigator {
     pub(super) law: MapLaw,
     pub(super) radius: Radius,
     pub(super) widening: f64,
-    pub(super) scratch: Scratch,
+    pub(super) scratch: FilterScratch,
     pub(super) chosen: Chosen,
     /// Slopes of the newest measurement, by state.
     pub(super) slopes: Vec<(usize, f64)>,
@@ -106,10 +106,10 @@ pub struct Navigator {
     pub(super) exact_slopes: bool,
     /// What the filter did, where it is to be smoothed.
     pub(super) record: Option<Record>,
-    pub(super) state: State,
+    pub(super) state: NavigatorState,
 }
 
-impl Saved for State {
+impl Saved for NavigatorState {
     const NAME: &'static str = "Navigator";
 
     fn check(&self) -> Result<()> {
@@ -137,7 +137,7 @@ impl Navigator {
     /// As [`NavigatorOptions::validate`].
     pub fn new(field: Arc<dyn Field>, mut options: NavigatorOptions) -> Result<Self> {
         options.validate()?;
-        if options.method != Method::Navigator {
+        if options.method != NavigatorMethod::Navigator {
             (options.nu, options.matcher) = (f64::INFINITY, None);
         }
         let terms = options.terms();
@@ -153,24 +153,24 @@ impl Navigator {
             variances[GYRO + axis] = options.ins.gyro_rad_s().powi(2);
         }
         variances[BIAS] = options.bias_sigma.powi(2);
-        let mut filter = Filter::new(&variances);
+        let mut filter = ErrorFilter::new(&variances);
         filter.set(POSITION, POSITION + 1, options.covariance_m2[0][1]);
         for i in 0..terms {
             for j in 0..=i {
                 filter.set(STATES + i, STATES + j, options.terms_covariance[i * terms + j]);
             }
         }
-        let state = State {
+        let state = NavigatorState {
             options,
             filter,
             batch: Batch::default(),
             running: RunningNis::new(),
             watch: Watch::new(),
             stuck: Stuck::default(),
-            shift: Shift::default(),
+            shift: LevelShift::default(),
             newest: None,
             inputs: Inputs::Full,
-            status: Status::Acquiring,
+            status: NavigatorStatus::Acquiring,
             reason: Reason::StartUncertain,
             heard_s: None,
             off_map: false,
@@ -184,7 +184,7 @@ impl Navigator {
         Self::from_state(field, state)
     }
 
-    fn from_state(field: Arc<dyn Field>, state: State) -> Result<Self> {
+    fn from_state(field: Arc<dyn Field>, state: NavigatorState) -> Result<Self> {
         let places = [("start", state.options.start), ("newest place", state.newest.map(|n| [n.x, n.y]))];
         for (what, place) in places {
             if let Some(place) = place {
@@ -192,7 +192,7 @@ impl Navigator {
             }
         }
         let law = MapLaw::new(field.as_ref(), &state.options);
-        let textbook = state.options.method != Method::Navigator;
+        let textbook = state.options.method != NavigatorMethod::Navigator;
         let risk = state.options.integrity_risk;
         let (probability, widening) = if textbook { (1.0 - risk, 1.0) } else { (0.99, widening(risk)?) };
         Ok(Self {
@@ -200,7 +200,7 @@ impl Navigator {
             law,
             radius: Radius::new(probability),
             widening,
-            scratch: Scratch::default(),
+            scratch: FilterScratch::default(),
             chosen: Chosen::default(),
             slopes: Vec::new(),
             exact_slopes: textbook,
@@ -241,7 +241,7 @@ impl Navigator {
     }
 
     /// How it stands to the map.
-    pub fn status(&self) -> Status {
+    pub fn status(&self) -> NavigatorStatus {
         self.state.status
     }
 
@@ -272,7 +272,7 @@ impl Navigator {
 
     /// The covariance that is reported.
     pub(super) fn reported_m2(&self) -> [[f64; 2]; 2] {
-        let ours = self.state.options.method == Method::Navigator;
+        let ours = self.state.options.method == NavigatorMethod::Navigator;
         let factor = if ours { self.state.running.factor() } else { 1.0 };
         self.own_m2().map(|row| row.map(|c| factor * c))
     }

@@ -2,7 +2,7 @@
 
 use super::motion::{FASTEST_M_S, POSITION, TILT, VELOCITY};
 use super::options::MOST_LATITUDE_DEG;
-use super::outcome::{Indicated, Inputs, NavigatorStep, Outcome};
+use super::outcome::{Indicated, Inputs, NavigatorOutcome, NavigatorStep};
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION};
 use crate::bounds::{require_place, require_values};
@@ -145,7 +145,7 @@ impl Navigator {
         self.state.heard_s = Some(now.time_s);
     }
 
-    fn answer(&self, outcome: Outcome, nis: Option<f64>) -> NavigatorStep {
+    fn answer(&self, outcome: NavigatorOutcome, nis: Option<f64>) -> NavigatorStep {
         let s = &self.state;
         let mean = s.filter.mean();
         let (x, y) = s.newest.map_or((f64::NAN, f64::NAN), |n| (n.x, n.y));

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use approx::assert_relative_eq;
 
-use super::filter::Filter;
+use super::filter::ErrorFilter;
 use super::motion::{
-    ACCELEROMETER, COUPLED, GYRO, INS_STATES, Motion, POSITION, Rows, TILT, VELOCITY, rates, transition,
+    ACCELEROMETER, COUPLED, GYRO, INS_STATES, POSITION, Rows, TILT, VELOCITY, VehicleMotion, rates, transition,
 };
 use super::states::*;
 use super::*;
@@ -20,8 +20,8 @@ use crate::random::Random;
 const R: f64 = 6_371_000.0;
 const SPEED: f64 = 70.0;
 
-fn motion(latitude_deg: f64, velocity_m_s: [f64; 2], heading_deg: f64) -> Motion {
-    Motion {
+fn motion(latitude_deg: f64, velocity_m_s: [f64; 2], heading_deg: f64) -> VehicleMotion {
+    VehicleMotion {
         latitude_rad: latitude_deg.to_radians(),
         radii_m: [R, R],
         velocity_m_s,
@@ -227,7 +227,7 @@ fn fly(map: &GridMap, seconds: usize, sigma_m: f64, random: &mut Random) -> Log 
         if k > 0 {
             place = [place[0] + 0.5 * dt * (v[0] + before[0]), place[1] + 0.5 * dt * (v[1] + before[1])];
             let scale = crate::frame::metres_per_degree(45.0);
-            let m = Motion {
+            let m = VehicleMotion {
                 latitude_rad: latitude,
                 radii_m: [scale[0].to_degrees() / libm::cos(latitude), scale[1].to_degrees()],
                 velocity_m_s: [0.5 * (v[0] + before[0]), 0.5 * (v[1] + before[1])],
@@ -300,7 +300,7 @@ fn over_a_right_map_the_covariance_is_what_the_errors_are() {
             far = far.max(error[0].hypot(error[1]));
             n += 1.0;
         }
-        assert_eq!(steps.last().unwrap().status, Status::Tracking);
+        assert_eq!(steps.last().unwrap().status, NavigatorStatus::Tracking);
     }
     let nees = nees / n;
     assert!((1.0..2.5).contains(&nees), "NEES {nees}");
@@ -374,12 +374,12 @@ fn a_start_known_to_kilometres_is_acquired() {
     }
     let options = NavigatorOptions { linear_m: Some(250.0), ..NavigatorOptions::new(2500.0) };
     let steps = run(&map, &log, options.clone());
-    assert_eq!(steps[10].status, Status::Acquiring);
+    assert_eq!(steps[10].status, NavigatorStatus::Acquiring);
     assert_eq!(steps[10].reason, Reason::StartUncertain);
     let last = steps.len() - 1;
     let error = log.error_m(&steps[last], last);
     assert!(error[0].hypot(error[1]) < steps[last].protection_level_m.min(200.0), "{error:?}");
-    assert_eq!(steps[last].status, Status::Tracking);
+    assert_eq!(steps[last].status, NavigatorStatus::Tracking);
     assert!(steps[last].last_fix_s.is_some());
     // Alone, the filter does not find it.
     let alone = run(&map, &log, NavigatorOptions { matcher: None, ..options });
@@ -427,7 +427,7 @@ fn outages_spikes_stuck_and_jammed_sensors_and_jumps_of_level_stay_within_the_bo
         let e = log.error_m(&steps[last], last);
         assert!(e[0].hypot(e[1]) < 150.0, "case {case}: {e:?}");
         match case {
-            0 => assert!(steps[880].status == Status::Coasting && steps[880].reason == Reason::NoReading),
+            0 => assert!(steps[880].status == NavigatorStatus::Coasting && steps[880].reason == Reason::NoReading),
             1 => assert!((610..630).any(|k| steps[k].reason == Reason::StuckSensor)),
             3 => assert!((steps[last].bias - steps[590].bias - 50.0).abs() < 20.0, "{}", steps[last].bias),
             _ => {}
@@ -463,7 +463,7 @@ fn errors_of_the_map_are_gathered_and_stay_within_the_covariance() {
             .unwrap();
         let log = fly(&right, 2400, 100.0, &mut random);
         let steps = run(&Arc::new(charted), &log, NavigatorOptions::new(100.0));
-        assert!(steps.iter().any(|s| s.outcome == Outcome::Waiting) && steps.iter().any(|s| s.nis.is_some()));
+        assert!(steps.iter().any(|s| s.outcome == NavigatorOutcome::Waiting) && steps.iter().any(|s| s.nis.is_some()));
         for (k, step) in steps.iter().enumerate().skip(300) {
             nees += square(log.error_m(step, k), step.covariance_m2);
             n += 1.0;
@@ -562,11 +562,11 @@ fn positions_from_elsewhere_are_believed() {
 
 #[test]
 fn the_covariance_stays_positive_over_a_million_steps() {
-    use super::filter::Scratch;
+    use super::filter::FilterScratch;
     let steps = if std::env::var_os("GEOMAG_LONG").is_some() { 1_000_000 } else { 20_000 };
     let mut filter =
-        Filter::new(&[1e4, 1e4, 0.04, 0.04, 1e-8, 1e-8, 1e-6, 1e-14, 1e-14, 1e-14, 1e-7, 1e-7, 900.0, 1e4, 1e4]);
-    let mut scratch = Scratch::default();
+        ErrorFilter::new(&[1e4, 1e4, 0.04, 0.04, 1e-8, 1e-8, 1e-6, 1e-14, 1e-14, 1e-14, 1e-7, 1e-7, 900.0, 1e4, 1e4]);
+    let mut scratch = FilterScratch::default();
     let phi = transition(&rates(&motion(50.0, [60.0, 30.0], 63.0)), &[1e-4; INS_STATES - COUPLED], 1.0);
     let factors = [0.9999; STATES - COUPLED];
     let noise = [0.0, 0.0, 8e-9, 8e-9, 1e-15, 1e-15, 1e-15, 1e-18, 1e-18, 1e-18, 1e-11, 1e-11, 1e-3, 1.0, 1.0];

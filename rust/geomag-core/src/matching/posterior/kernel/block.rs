@@ -5,7 +5,9 @@ use std::ops::Range;
 use super::super::noise::{ErrorLevel, LEVELS};
 use super::fill::fill;
 use super::integral::{Tails, nuisances, one_bias, weigh};
-use super::setup::{FEW_PARAMETERS, LANES, MOST_PARAMETERS, SOME_PARAMETERS, Scores, Scratch, Setup, WIDENING, Wide};
+use super::setup::{
+    FEW_PARAMETERS, KernelScratch, LANES, MOST_PARAMETERS, SOME_PARAMETERS, Scores, Setup, WIDENING, Wide,
+};
 
 /// Scores the candidates `offsets` (at most [`LANES`]; cells of the map) under the given levels: their density, or with
 /// `BOUND` a bound over the cell of each. The other levels are minus infinity.
@@ -13,19 +15,19 @@ pub(in super::super) fn score<const BOUND: bool>(
     setup: &Setup<'_>,
     offsets: &[[f64; 2]],
     levels: Range<usize>,
-    scratch: &mut Scratch,
+    scratch: &mut KernelScratch,
 ) -> Scores {
-    crate::instructions::chosen().dispatch(Block::<'_, '_, BOUND> { setup, offsets, levels, scratch })
+    crate::instructions::chosen().dispatch(LaneBlock::<'_, '_, BOUND> { setup, offsets, levels, scratch })
 }
 
-struct Block<'a, 'b, const BOUND: bool> {
+struct LaneBlock<'a, 'b, const BOUND: bool> {
     setup: &'a Setup<'b>,
     offsets: &'a [[f64; 2]],
     levels: Range<usize>,
-    scratch: &'a mut Scratch,
+    scratch: &'a mut KernelScratch,
 }
 
-impl<const BOUND: bool> pulp::WithSimd for Block<'_, '_, BOUND> {
+impl<const BOUND: bool> pulp::WithSimd for LaneBlock<'_, '_, BOUND> {
     type Output = Scores;
 
     #[inline(always)]
@@ -40,7 +42,7 @@ fn evaluate<const BOUND: bool>(
     setup: &Setup<'_>,
     levels: Range<usize>,
     widening: &[f32],
-    scratch: &mut Scratch,
+    scratch: &mut KernelScratch,
 ) -> Scores {
     let n = setup.places.len();
     let (mut count, mut distance, mut map_variance) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);

@@ -3,7 +3,7 @@
 use super::super::noise::ErrorLevel;
 use super::fill::fill;
 use super::integral::{Tails, derivatives, nuisances, weigh};
-use super::setup::{FEW_PARAMETERS, LANES, MOST_PARAMETERS, SOME_PARAMETERS, Scratch, Setup, WIDENING};
+use super::setup::{FEW_PARAMETERS, KernelScratch, LANES, MOST_PARAMETERS, SOME_PARAMETERS, Setup, WIDENING};
 
 /// Standard deviations beyond which a sample is a miss. A Student-t distribution with nu = 10 has 5 in 10,000 there, one with nu = 3 15 in 1,000.
 const MISS: f64 = 5.0;
@@ -30,7 +30,7 @@ pub(in super::super) fn detail(
     setup: &Setup<'_>,
     offset: [f64; 2],
     level: ErrorLevel,
-    scratch: &mut Scratch,
+    scratch: &mut KernelScratch,
 ) -> Detail {
     crate::instructions::chosen().dispatch(Single { setup, offset, level, scratch })
 }
@@ -39,7 +39,7 @@ struct Single<'a, 'b> {
     setup: &'a Setup<'b>,
     offset: [f64; 2],
     level: ErrorLevel,
-    scratch: &'a mut Scratch,
+    scratch: &'a mut KernelScratch,
 }
 
 impl pulp::WithSimd for Single<'_, '_> {
@@ -52,7 +52,7 @@ impl pulp::WithSimd for Single<'_, '_> {
 }
 
 #[inline(always)]
-fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: ErrorLevel, scratch: &mut Scratch) -> Detail {
+fn look_closely(setup: &Setup<'_>, offset: [f64; 2], level: ErrorLevel, scratch: &mut KernelScratch) -> Detail {
     fill::<false>(setup, &[offset], &[level], scratch);
     weigh::<false>(scratch, &level);
     let with_bias = usize::from(setup.bias_sigma.is_some());

@@ -4,7 +4,7 @@ use super::super::noise::{ErrorLevel, Interpolant};
 use super::super::patch::{
     ACROSS, BEND, Cells, DISTANCE, LIFT, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP, VALUE, VARIANCE,
 };
-use super::setup::{EMPTY, LANES, Lane, Scratch, Setup};
+use super::setup::{EMPTY, KernelScratch, LANES, Lane, Setup};
 
 /// Samples the map along the track at every candidate.
 #[inline(always)]
@@ -13,7 +13,7 @@ pub(super) fn fill<const BOUND: bool>(
     setup: &Setup<'_>,
     offsets: &[[f64; 2]],
     levels: &[ErrorLevel],
-    scratch: &mut Scratch,
+    scratch: &mut KernelScratch,
 ) {
     // Under a bound that stands for all levels the bends in its reach stand for the curves.
     let cubic = setup.cover == 0.0 && levels.iter().any(|l| l.surface != Interpolant::Bilinear);

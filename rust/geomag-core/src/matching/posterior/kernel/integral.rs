@@ -2,7 +2,7 @@
 
 use super::super::noise::ErrorLevel;
 use super::super::nuisance::Shape;
-use super::setup::{LANES, Lane, MOST_PARAMETERS, SampleLanes, Scratch, Setup, Wide};
+use super::setup::{KernelScratch, LANES, Lane, MOST_PARAMETERS, SampleLanes, Setup, Wide};
 
 /// Factors multiplied before a logarithm is taken; each is below 1e9, so that the product is finite.
 pub(super) const PRODUCT: usize = 4;
@@ -59,7 +59,7 @@ pub(super) fn logarithm(x: f32) -> f32 {
 /// Fills the errors and precisions 1 / s^2 of a level and returns minus half the sum of ln s^2; for a bound, of the least s^2
 /// within the candidate's cell.
 #[inline(always)]
-pub(super) fn weigh<const BOUND: bool>(scratch: &mut Scratch, level: &ErrorLevel) -> Wide {
+pub(super) fn weigh<const BOUND: bool>(scratch: &mut KernelScratch, level: &ErrorLevel) -> Wide {
     let n = scratch.rows.len();
     let (level2, between2) = ((level.factor * level.factor) as f32, (level.between * level.between) as f32);
     let (bicubic, spline) = level.surface.parts();
@@ -94,7 +94,7 @@ fn beyond<const BOUND: bool>(e: f32, reach: f32) -> f32 {
 #[inline(always)]
 pub(super) fn one_bias<const BOUND: bool>(
     setup: &Setup<'_>,
-    scratch: &Scratch,
+    scratch: &KernelScratch,
     tails: Tails,
     widening: &[f32],
     bias: &mut Lane,
@@ -216,7 +216,7 @@ pub(super) fn derivative(per_unit: f32, shape: &Shape, row: &SampleLanes, k: usi
 #[inline(always)]
 pub(super) fn nuisances<const BOUND: bool, const M: usize>(
     setup: &Setup<'_>,
-    scratch: &Scratch,
+    scratch: &KernelScratch,
     tails: Tails,
     turns: &[f32],
     theta: &mut [Wide; MOST_PARAMETERS],

@@ -25,4 +25,4 @@ mod setup;
 pub(super) use block::score;
 pub(super) use closely::{Detail, detail};
 pub(super) use screen::{Screened, screen};
-pub(super) use setup::{LANES, Scores, Scratch, Setup, Wide};
+pub(super) use setup::{KernelScratch, LANES, Scores, Setup, Wide};

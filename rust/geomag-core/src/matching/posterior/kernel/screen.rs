@@ -11,7 +11,9 @@ use super::super::nuisance::Shape;
 use super::super::patch::{Cells, Spots};
 use super::fill::fill;
 use super::integral::{PRODUCT, Tails, derivative, derivatives, factorise, logarithm, nuisances, one_bias, weigh};
-use super::setup::{FEW_PARAMETERS, LANES, Lane, MOST_PARAMETERS, SOME_PARAMETERS, Scratch, Setup, WIDENING, Wide};
+use super::setup::{
+    FEW_PARAMETERS, KernelScratch, LANES, Lane, MOST_PARAMETERS, SOME_PARAMETERS, Setup, WIDENING, Wide,
+};
 
 /// Log-likelihoods of a block of candidates.
 #[derive(Debug, Clone)]
@@ -32,7 +34,7 @@ pub(in super::super) fn screen(
     maps: &[&[f32]],
     offsets: &[[f64; 2]],
     level: usize,
-    scratch: &mut Scratch,
+    scratch: &mut KernelScratch,
 ) -> Screened {
     crate::instructions::chosen().dispatch(Screen { setup, effects, maps, offsets, level, scratch })
 }
@@ -43,7 +45,7 @@ struct Screen<'a, 'b> {
     maps: &'a [&'a [f32]],
     offsets: &'a [[f64; 2]],
     level: usize,
-    scratch: &'a mut Scratch,
+    scratch: &'a mut KernelScratch,
 }
 
 impl pulp::WithSimd for Screen<'_, '_> {
@@ -85,7 +87,7 @@ impl pulp::WithSimd for Screen<'_, '_> {
 /// The samples of the track over those that lie on the map: a candidate is judged by the samples that it has, as if there were all. NaN
 /// where these are too few.
 #[inline(always)]
-fn whole(setup: &Setup<'_>, scratch: &Scratch) -> Wide {
+fn whole(setup: &Setup<'_>, scratch: &KernelScratch) -> Wide {
     let n = setup.places.len() as f64;
     let needed = (setup.min_overlap * n).max(1.0);
     let mut count = [0.0_f32; LANES];
@@ -101,7 +103,7 @@ fn whole(setup: &Setup<'_>, scratch: &Scratch) -> Wide {
 #[inline(always)]
 fn seek(
     setup: &Setup<'_>,
-    scratch: &mut Scratch,
+    scratch: &mut KernelScratch,
     level: ErrorLevel,
     turns: &[f32],
     theta: &mut [Wide; MOST_PARAMETERS],
@@ -127,7 +129,7 @@ fn seek(
 
 /// The rows with the values of another map on the same nodes.
 #[inline(always)]
-fn read_again(setup: &Setup<'_>, map: &[f32], cells: &Cells, spots: &[Spots], scratch: &mut Scratch) {
+fn read_again(setup: &Setup<'_>, map: &[f32], cells: &Cells, spots: &[Spots], scratch: &mut KernelScratch) {
     let unit = setup.per_unit;
     let [per_east, per_north] = setup.cell_m.map(|m| unit / m);
     let ([blur_x, blur_y], sensor_variance) = (setup.blur_m2, setup.sensor_variance);
@@ -157,12 +159,12 @@ fn read_again(setup: &Setup<'_>, map: &[f32], cells: &Cells, spots: &[Spots], sc
 
 /// Sums over the samples for the parameters told, or for those of one effect: by every parameter the pull g, and the row of A up to
 /// the diagonal, in which the parameters told come first.
-struct Sums {
+struct ScreenSums {
     pulls: Vec<Lane>,
     rows: Vec<Lane>,
 }
 
-impl Sums {
+impl ScreenSums {
     fn new(before: usize, size: usize) -> Self {
         Self { pulls: vec![[0.0; LANES]; size], rows: vec![[0.0; LANES]; size * before + size * (size + 1) / 2] }
     }
@@ -193,16 +195,16 @@ impl Sums {
 fn accumulate(
     setup: &Setup<'_>,
     effects: &[&[Shape]],
-    scratch: &Scratch,
+    scratch: &KernelScratch,
     tails: Tails,
     at: &[Lane; MOST_PARAMETERS],
     wide: f32,
-) -> (Sums, Vec<Sums>) {
+) -> (ScreenSums, Vec<ScreenSums>) {
     let with_bias = usize::from(setup.bias_sigma.is_some());
     let known = (with_bias + setup.shapes.len()).min(MOST_PARAMETERS);
     let (nu, cut) = tails.turn(wide == 1.0);
-    let mut of_told = Sums::new(0, known);
-    let mut of_effects: Vec<Sums> = effects.iter().map(|e| Sums::new(known, e.len())).collect();
+    let mut of_told = ScreenSums::new(0, known);
+    let mut of_effects: Vec<ScreenSums> = effects.iter().map(|e| ScreenSums::new(known, e.len())).collect();
     let mut h = [[0.0_f32; LANES]; MOST_PARAMETERS];
     for (k, row) in scratch.rows.iter().enumerate() {
         derivatives(setup, row, k, with_bias, &mut h);
@@ -234,7 +236,7 @@ fn accumulate(
 fn gains(
     setup: &Setup<'_>,
     effects: &[&[Shape]],
-    scratch: &Scratch,
+    scratch: &KernelScratch,
     level: ErrorLevel,
     theta: &[Wide; MOST_PARAMETERS],
 ) -> Vec<Wide> {
@@ -272,7 +274,7 @@ fn gains(
 fn loss(
     setup: &Setup<'_>,
     effect: &[Shape],
-    scratch: &Scratch,
+    scratch: &KernelScratch,
     tails: Tails,
     at: &[Lane; MOST_PARAMETERS],
     known: usize,
@@ -322,7 +324,12 @@ struct Solved {
 
 /// The step with one effect, by the sums for the parameters told and for its own; and what the effect gains by it.
 #[inline(always)]
-fn step(told: &Sums, effect: &Sums, prior: &[f64; MOST_PARAMETERS], theta: &[Wide; MOST_PARAMETERS]) -> (Wide, Solved) {
+fn step(
+    told: &ScreenSums,
+    effect: &ScreenSums,
+    prior: &[f64; MOST_PARAMETERS],
+    theta: &[Wide; MOST_PARAMETERS],
+) -> (Wide, Solved) {
     match told.pulls.len() + effect.pulls.len() {
         n if n <= FEW_PARAMETERS => step_of::<FEW_PARAMETERS>(told, effect, prior, theta),
         n if n <= SOME_PARAMETERS => step_of::<SOME_PARAMETERS>(told, effect, prior, theta),
@@ -332,8 +339,8 @@ fn step(told: &Sums, effect: &Sums, prior: &[f64; MOST_PARAMETERS], theta: &[Wid
 
 #[inline(always)]
 fn step_of<const M: usize>(
-    told: &Sums,
-    effect: &Sums,
+    told: &ScreenSums,
+    effect: &ScreenSums,
     prior: &[f64; MOST_PARAMETERS],
     theta: &[Wide; MOST_PARAMETERS],
 ) -> (Wide, Solved) {

@@ -3,7 +3,7 @@
 use super::super::noise::{ErrorLevel, LEVELS};
 use super::super::nuisance::Shape;
 pub(in super::super) use super::super::patch::LANES;
-use super::super::patch::{Patch, Place};
+use super::super::patch::{Patch, PatchPlace};
 
 /// Multipliers of the variance in successive reweightings.
 pub(super) const WIDENING: [f32; 4] = [100.0, 9.0, 1.0, 1.0];
@@ -21,7 +21,7 @@ pub(in super::super) type Wide = [f64; LANES];
 pub(in super::super) struct Setup<'a> {
     pub patch: &'a Patch,
     /// Indicated positions in cells of the patch.
-    pub places: &'a [Place],
+    pub places: &'a [PatchPlace],
     /// Measured values minus the patch's level, value units.
     pub values: &'a [f32],
     /// One over the unit of the residuals, value units.
@@ -141,6 +141,6 @@ pub(super) const EMPTY: SampleLanes = SampleLanes {
 
 /// Room for one block of candidates, reused from block to block.
 #[derive(Debug, Default)]
-pub(in super::super) struct Scratch {
+pub(in super::super) struct KernelScratch {
     pub(super) rows: Vec<SampleLanes>,
 }

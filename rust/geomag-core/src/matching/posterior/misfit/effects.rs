@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::super::kernel::{self, Scratch, Setup};
-use super::super::nuisance::{Shape, leg_shapes, walk_shapes};
+use super::super::kernel::{self, KernelScratch, Setup};
+use super::super::nuisance::{Shape, drift_shapes, leg_shapes};
 use super::super::patch::Patch;
-use super::super::problem::{Prepared, Problem};
+use super::super::problem::{PreparedChannel, Problem};
 use crate::grid::HEIGHTS_M;
 
 /// Least height in cells of the map that changes anything.
@@ -31,7 +31,7 @@ pub(super) struct Alternative {
 
 /// A channel as the tests look at it.
 pub(super) struct View<'a> {
-    pub channel: &'a Prepared,
+    pub channel: &'a PreparedChannel,
     /// The error level that fits the answer best, and the component of the nuisance parameters.
     pub level: usize,
     component: usize,
@@ -42,11 +42,12 @@ pub(super) struct View<'a> {
 
 impl<'a> View<'a> {
     /// Under the model as told, where it is declared to be.
-    pub fn new(problem: &Problem<'_>, channel: &'a Prepared, offset: [f64; 2], step: [f64; 2]) -> Self {
+    pub fn new(problem: &Problem<'_>, channel: &'a PreparedChannel, offset: [f64; 2], step: [f64; 2]) -> Self {
         let levels = &channel.noise.levels;
         let component = problem.best_component(channel, offset, channel.noise.typical, step);
         let setup = problem.setup(channel, component, step);
-        let scores = kernel::score::<false>(&setup, &[channel.cells(offset)], 0..levels.len(), &mut Scratch::default());
+        let scores =
+            kernel::score::<false>(&setup, &[channel.cells(offset)], 0..levels.len(), &mut KernelScratch::default());
         let merit = |v: usize| scores.log_likelihood[v][0] + levels[v].log_prior;
         let level = (0..levels.len()).fold(0, |a, b| if merit(b) > merit(a) { b } else { a });
         let (shapes, narrowed) = (problem.nuisance.shapes.clone(), problem.nuisance.narrowed.clone());
@@ -85,7 +86,7 @@ pub(super) fn alternatives(problem: &Problem<'_>, told: &[View<'_>]) -> Vec<Alte
         }
     }
     // Of every channel its own.
-    let mut add = |effect: &'static str, shapes: &dyn Fn(&Prepared) -> Vec<Shape>| {
+    let mut add = |effect: &'static str, shapes: &dyn Fn(&PreparedChannel) -> Vec<Shape>| {
         let shapes = problem.channels.iter().map(shapes).collect();
         out.push(Alternative { effect, height: None, shapes, maps: Vec::new() });
     };
@@ -93,8 +94,8 @@ pub(super) fn alternatives(problem: &Problem<'_>, told: &[View<'_>]) -> Vec<Alte
         add("legs", &|c| leg_shapes(&problem.legs, BIAS_SHARE * spread(&c.values)));
         add("legs", &|c| leg_shapes(&problem.legs, SMALL_BIAS * c.unit));
     }
-    if options.bias_walk == 0.0 {
-        add("bias_walk", &|c| walk_shapes(&problem.age, BIAS_SHARE * spread(&c.values)));
+    if options.bias_drift_sigma == 0.0 {
+        add("bias_drift", &|c| drift_shapes(&problem.age, BIAS_SHARE * spread(&c.values)));
     }
     add("reading_scale", &|c| {
         let mean = mean(&c.values);
@@ -130,7 +131,7 @@ pub(super) fn estimate(
     let view = told.with(effect, 0);
     let level = view.channel.noise.levels[view.level];
     let setup = view.setup(problem, step);
-    let detail = kernel::detail(&setup, view.channel.cells(offset), level, &mut Scratch::default());
+    let detail = kernel::detail(&setup, view.channel.cells(offset), level, &mut KernelScratch::default());
     let before = told.shapes.len();
     let theta = |i: usize| detail.theta.get(before + i).copied().unwrap_or(0.0);
     // What the effect as fitted does to a sample.
@@ -146,7 +147,7 @@ pub(super) fn estimate(
             let steps = (0..problem.samples).map(added);
             steps.fold(0.0, |a: f64, b| if b.abs() > a.abs() { b } else { a })
         }
-        "bias_walk" => added(problem.samples - 1) - added(0),
+        "bias_drift" => added(problem.samples - 1) - added(0),
         "reading_scale" => (1.0 - READING_SCALE * theta(0)).recip(),
         "heading" => HEADING_DEG * theta(0),
         _ => DRIFT_TOLERANCES * problem.tolerance_m * theta(0).hypot(theta(1)),

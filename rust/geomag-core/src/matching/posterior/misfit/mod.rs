@@ -13,7 +13,7 @@ mod effects;
 
 use rayon::prelude::*;
 
-use super::kernel::{self, LANES, Scratch, Screened, Wide};
+use super::kernel::{self, KernelScratch, LANES, Screened, Wide};
 use super::lattice::children;
 use super::nuisance::Shape;
 use super::problem::Problem;
@@ -194,7 +194,7 @@ fn look(
         let blocks: Vec<Screened> = cells
             .par_chunks(LANES)
             .with_min_len(8)
-            .map_init(Scratch::default, |scratch, block| {
+            .map_init(KernelScratch::default, |scratch, block| {
                 kernel::screen(&setup, &effects, &maps, block, view.level, scratch)
             })
             .collect();
@@ -237,7 +237,7 @@ fn in_full(
 /// Tempered log-likelihoods of some offsets under a model, all channels together.
 fn joint(problem: &Problem<'_>, views: &[View<'_>], offsets: &[[f64; 2]], step: [f64; 2]) -> Vec<f64> {
     let mut total = vec![0.0; offsets.len()];
-    let mut scratch = Scratch::default();
+    let mut scratch = KernelScratch::default();
     for view in views {
         let setup = view.setup(problem, step);
         let cells: Vec<[f64; 2]> = offsets.iter().map(|o| view.channel.cells(*o)).collect();

@@ -9,7 +9,7 @@ mod read;
 mod tests;
 mod window;
 
-pub(super) use place::{Cells, LANES, Place, Spots};
+pub(super) use place::{Cells, LANES, PatchPlace, Spots};
 pub(super) use window::{
     ACROSS, BEND, DEFAULT_DISTANCE_CELLS, DISTANCE, LIFT, Patch, SPLINE_ACROSS, SPLINE_TWIST, SPLINE_UP, TWIST, UP,
     VALUE, VARIANCE,

@@ -41,7 +41,7 @@ impl Cells {
         };
         for lane in 0..LANES {
             let Some(offset) = offsets.get(lane.min(offsets.len().wrapping_sub(1))) else { break };
-            let mut place = Place::new(*offset);
+            let mut place = PatchPlace::new(*offset);
             if lane < offsets.len() {
                 cells.used[lane] = 1.0;
             }
@@ -79,7 +79,7 @@ impl Cells {
 
 /// A place in cells of the patch: whole cells, and the rest in [0, 1].
 #[derive(Debug, Clone, Copy)]
-pub(in super::super) struct Place {
+pub(in super::super) struct PatchPlace {
     pub(super) whole: [i32; 2],
     pub(super) part: [f32; 2],
     /// The level below the place, and the share of the one above.
@@ -87,7 +87,7 @@ pub(in super::super) struct Place {
     pub(super) share: f32,
 }
 
-impl Place {
+impl PatchPlace {
     #[inline(always)]
     pub fn new(cells: [f64; 2]) -> Self {
         let whole = cells.map(|c| c.floor().clamp(-1e9, 1e9));
@@ -104,7 +104,12 @@ impl Place {
 /// Whole cells and the rest of a coordinate at every offset, on an axis of `size` nodes; 2 where it lies on the axis, 1 where
 /// on either end of it, else 0.
 #[inline(always)]
-pub(super) fn along(place: Place, d: usize, cells: &Cells, size: usize) -> ([i32; LANES], [f32; LANES], [i32; LANES]) {
+pub(super) fn along(
+    place: PatchPlace,
+    d: usize,
+    cells: &Cells,
+    size: usize,
+) -> ([i32; LANES], [f32; LANES], [i32; LANES]) {
     let (place, rest, whole, part) = (place.whole[d], place.part[d], &cells.whole[d], &cells.part[d]);
     let last = size as i32 - 1;
     let (mut at, mut between, mut on) = ([0; LANES], [0.0; LANES], [0; LANES]);

@@ -1,12 +1,12 @@
 //! Reading a window at many places at once: row by row, within one cell, or each by itself.
 
-use super::place::{Cells, Corners, LANES, NodeAccess, Place, RUNS, Spots, along};
+use super::place::{Cells, Corners, LANES, NodeAccess, PatchPlace, RUNS, Spots, along};
 use super::window::{Patch, VALUE};
 
 impl Patch {
     /// Where a place (cells of the patch) lies at every offset.
     #[inline(always)]
-    pub fn locate(&self, place: Place, cells: &Cells) -> Spots {
+    pub fn locate(&self, place: PatchPlace, cells: &Cells) -> Spots {
         let (column, u, on_columns) = along(place, 0, cells, self.columns);
         let (row, v, on_rows) = along(place, 1, cells, self.rows);
         let mut known = [0.0; LANES];

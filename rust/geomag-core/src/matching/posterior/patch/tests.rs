@@ -21,11 +21,11 @@ fn patch(uneven: bool) -> Patch {
 
 fn read_as_one_by_one(patch: &Patch, place: [f64; 2], offsets: &[[f64; 2]]) {
     let cells = Cells::new(offsets);
-    let mut spots = patch.locate(Place::new(place), &cells);
+    let mut spots = patch.locate(PatchPlace::new(place), &cells);
     let value = patch.read::<VALUE>(&cells, &mut spots).mixed(&spots);
     let bend = patch.read::<BEND>(&cells, &mut spots).mixed(&spots);
     let (variance, distance) = if patch.even {
-        let [variance, distance] = patch.everywhere(Place::new(place));
+        let [variance, distance] = patch.everywhere(PatchPlace::new(place));
         ([variance; LANES], [distance; LANES])
     } else {
         let variance = patch.read::<VARIANCE>(&cells, &mut spots).mixed(&spots);
@@ -128,7 +128,7 @@ fn the_edge_belongs_to_the_patch_whatever_rounding_says() {
     let patch = patch(false);
     for (place, offset) in [([0.3, 5.0], [-0.3, 0.0]), ([18.9, 13.9], [0.1, 0.1]), ([5.7, 0.1], [0.0, -0.1])] {
         let cells = Cells::new(&[offset]);
-        let mut spots = patch.locate(Place::new(place), &cells);
+        let mut spots = patch.locate(PatchPlace::new(place), &cells);
         let value = patch.read::<VALUE>(&cells, &mut spots).mixed(&spots)[0];
         let wanted = patch.at(place[0] + offset[0], place[1] + offset[1], Storey::GROUND).value;
         assert!(spots.known[0] > 0.0 && (value - wanted).abs() < 1e-4, "{place:?}: {value} {wanted}");

@@ -1,7 +1,7 @@
 //! A window of a map, a plane a quantity.
 
 use super::bends::{finite_or_zero, second_differences_across, second_differences_up, spline_bends};
-use super::place::Place;
+use super::place::PatchPlace;
 use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::grid::{GridMap, MapSigma, at_height};
@@ -332,7 +332,7 @@ impl Patch {
     }
 
     /// Error variance and distance to data of an even patch, in the storey of a place.
-    pub fn everywhere(&self, place: Place) -> [f32; 2] {
+    pub fn everywhere(&self, place: PatchPlace) -> [f32; 2] {
         let nearest = place.level as usize + usize::from(place.share > 0.5);
         [VARIANCE, DISTANCE].map(|q| self.levels[nearest][q][0])
     }

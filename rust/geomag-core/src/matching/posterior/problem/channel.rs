@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::super::noise::{ErrorLevel, Noise};
 use super::super::nuisance::{Component, Nuisance};
-use super::super::patch::{Patch, Place};
+use super::super::patch::{Patch, PatchPlace};
 use crate::stack::Storey;
 
 /// Curvature times half the square of a displacement, in standard deviations of a sample, up to which it is linear.
@@ -13,12 +13,12 @@ const LINEAR: f64 = 0.2;
 const LINEAR_CELLS: [f64; 2] = [0.2, 10.0];
 
 /// One channel, made ready.
-pub(in super::super) struct Prepared {
+pub(in super::super) struct PreparedChannel {
     pub patch: Arc<Patch>,
     /// The same at the heights of the nuisance's components, where the height is uncertain.
     pub(super) lifted: Vec<Arc<Patch>>,
     /// Indicated positions at every component of the nuisance parameters, in cells of the patch: `places[component][sample]`.
-    pub(super) places: Vec<Vec<Place>>,
+    pub(super) places: Vec<Vec<PatchPlace>>,
     /// Indicated positions, cells of the patch.
     pub(super) indicated: Vec<[f64; 2]>,
     /// Where their heights lie among the levels of the map.
@@ -31,7 +31,7 @@ pub(in super::super) struct Prepared {
     pub unit: f64,
 }
 
-impl Prepared {
+impl PreparedChannel {
     /// The map at the height of a component.
     pub fn patch_at(&self, component: &Component) -> &Arc<Patch> {
         self.lifted.get(component.height).unwrap_or(&self.patch)
@@ -93,7 +93,7 @@ impl Prepared {
         let laid_out = |component: &Component| {
             let place = |(k, p): (usize, &[f64; 2])| {
                 let moved = component.moved_m.get(k).unwrap_or(&[0.0; 2]);
-                Place::new([p[0] + moved[0] / east, p[1] + moved[1] / north]).in_storey(self.storeys[k])
+                PatchPlace::new([p[0] + moved[0] / east, p[1] + moved[1] / north]).in_storey(self.storeys[k])
             };
             self.indicated.iter().enumerate().map(place).collect()
         };

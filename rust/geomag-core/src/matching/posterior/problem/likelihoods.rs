@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::super::kernel::{self, LANES, Scores, Scratch};
+use super::super::kernel::{self, KernelScratch, LANES, Scores};
 use super::super::noise::LEVELS;
-use super::channel::Prepared;
+use super::channel::PreparedChannel;
 use super::ready::Problem;
 
 /// What of one channel is looked at: error levels and components of the nuisance parameters.
@@ -59,7 +59,7 @@ impl Problem<'_> {
     /// The part of a scope over which bounds are taken: the first level alone where it stands for all, which under several surfaces it
     /// does at the `first` stage only.
     pub fn bounded(&self, scopes: &[Scope], first: bool) -> Vec<Scope> {
-        let part = |(channel, scope): (&Prepared, &Scope)| {
+        let part = |(channel, scope): (&PreparedChannel, &Scope)| {
             let noise = &channel.noise;
             let cover = first && noise.covered;
             let levels = if cover {
@@ -81,9 +81,9 @@ impl Problem<'_> {
         step: [f64; 2],
         scopes: &[Scope],
     ) -> Likelihoods {
-        let score = |(channel, scope): (&Prepared, &Scope)| {
+        let score = |(channel, scope): (&PreparedChannel, &Scope)| {
             let cells: Vec<[f64; 2]> = offsets.iter().map(|o| channel.cells(*o)).collect();
-            let one = |scratch: &mut Scratch, block: &[[f64; 2]]| {
+            let one = |scratch: &mut KernelScratch, block: &[[f64; 2]]| {
                 if self.interruption.now() {
                     return (Scores::nothing(), Vec::new());
                 }
@@ -91,11 +91,11 @@ impl Problem<'_> {
             };
             let work = offsets.len() * self.samples * scope.levels.len() * scope.components.len();
             let (blocks, components): (Vec<Scores>, Vec<Vec<[f64; LEVELS]>>) = if work < PARALLEL {
-                let mut scratch = Scratch::default();
+                let mut scratch = KernelScratch::default();
                 cells.chunks(LANES).map(|block| one(&mut scratch, block)).unzip()
             } else {
                 let width = 8_usize.div_ceil(scope.components.len());
-                cells.par_chunks(LANES).with_min_len(width).map_init(Scratch::default, one).unzip()
+                cells.par_chunks(LANES).with_min_len(width).map_init(KernelScratch::default, one).unzip()
             };
             let mut best_of_component = vec![[f64::NEG_INFINITY; LEVELS]; scope.components.len()];
             for block in &components {
@@ -113,11 +113,11 @@ impl Problem<'_> {
     /// One block, its components added up; and the best of each component.
     fn score_block<const BOUND: bool>(
         &self,
-        channel: &Prepared,
+        channel: &PreparedChannel,
         scope: &Scope,
         step: [f64; 2],
         cells: &[[f64; 2]],
-        scratch: &mut Scratch,
+        scratch: &mut KernelScratch,
     ) -> (Scores, Vec<[f64; LEVELS]>) {
         let mut sum: Option<Scores> = None;
         let mut best = Vec::new();
@@ -144,14 +144,14 @@ impl Problem<'_> {
     }
 
     /// The component at which this offset is the most likely, given an error level.
-    pub fn best_component(&self, channel: &Prepared, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
+    pub fn best_component(&self, channel: &PreparedChannel, offset: [f64; 2], level: usize, step: [f64; 2]) -> usize {
         let components = self.nuisance.components.len();
         if components == 1 {
             return 0;
         }
         let scope = Scope { levels: level..level + 1, cover: false, components: (0..components).collect() };
         let (_, best) =
-            self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut Scratch::default());
+            self.score_block::<false>(channel, &scope, step, &[channel.cells(offset)], &mut KernelScratch::default());
         (1..components).fold(0, |a, b| if best[b][level] > best[a][level] { b } else { a })
     }
 }

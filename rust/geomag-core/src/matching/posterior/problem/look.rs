@@ -1,9 +1,9 @@
 //! One offset looked at closely, and what is to be expected of a track before it is flown.
 
 use super::super::goodness;
-use super::super::kernel::{self, Scratch};
+use super::super::kernel::{self, KernelScratch};
 use super::super::noise::ErrorLevel;
-use super::channel::Prepared;
+use super::channel::PreparedChannel;
 use super::ready::Problem;
 use crate::map_error::Forecast;
 
@@ -31,8 +31,8 @@ pub(in super::super) struct ModeDetail {
 
 impl Problem<'_> {
     /// Information on the offset at one place under every level, nuisance parameters out: see [`kernel::detail`].
-    pub fn information(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> Vec<[f64; 3]> {
-        let mut scratch = Scratch::default();
+    pub fn information(&self, channel: &PreparedChannel, offset: [f64; 2], step: [f64; 2]) -> Vec<[f64; 3]> {
+        let mut scratch = KernelScratch::default();
         (channel.noise.levels.iter().enumerate())
             .map(|(v, level)| {
                 let setup = self.setup(channel, self.best_component(channel, offset, v, step), step);
@@ -49,7 +49,7 @@ impl Problem<'_> {
         let index = if channel.noise.levels_are_distances { levels.len() - 1 } else { channel.noise.typical };
         let component = self.best_component(channel, offset, index, step);
         let setup = self.setup(channel, component, step);
-        let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut Scratch::default());
+        let detail = kernel::detail(&setup, channel.cells(offset), levels[index], &mut KernelScratch::default());
         let (heading_deg, scale) = self.nuisance.heading_and_scale(&self.nuisance.components[component], &detail.theta);
         // Of several channels the worst, times their number: the chance that any of them is as bad (Bonferroni).
         let worst = self.channels.iter().map(|c| self.goodness(c, offset, step)).fold(1.0, f64::min);
@@ -59,11 +59,11 @@ impl Problem<'_> {
 
     /// p-value of one channel's residuals at an offset, over what the error level of a track may be (Box, J. Roy. Stat. Soc. A 143
     /// (1980) 383: the prior predictive check).
-    fn goodness(&self, channel: &Prepared, offset: [f64; 2], step: [f64; 2]) -> f64 {
+    fn goodness(&self, channel: &PreparedChannel, offset: [f64; 2], step: [f64; 2]) -> f64 {
         let (map_sigma, distance) = self.along(channel);
         let variances = [channel.mean_variance(&map_sigma), channel.between(self.samples)];
         let setup = self.setup(channel, self.best_component(channel, offset, channel.noise.typical, step), step);
-        let mut scratch = Scratch::default();
+        let mut scratch = KernelScratch::default();
         let tail = |level: ErrorLevel| {
             let detail = kernel::detail(&setup, channel.cells(offset), level, &mut scratch);
             let (_, temper) = channel.temper(&level, distance, variances, self.spacing_m);
@@ -81,7 +81,7 @@ impl Problem<'_> {
         let level = levels.iter().copied().fold(levels[0], |a, b| if b.log_prior > a.log_prior { b } else { a });
         // The first component is the likeliest: nothing moved.
         let setup = self.setup(channel, 0, [0.0, 0.0]);
-        let mut scratch = Scratch::default();
+        let mut scratch = KernelScratch::default();
         let detail = kernel::detail(&setup, [0.0, 0.0], level, &mut scratch);
         // Of the stated errors: what the map cannot say between its nodes is no part of the bound.
         let exact_between = ErrorLevel { between: 0.0, ..level };
@@ -125,7 +125,7 @@ impl Problem<'_> {
     /// The risk to declare for a computed one: as the most careful of the channels' maps has it.
     pub fn declared(&self, computed: f64) -> f64 {
         let length_m = self.spacing_m * self.samples.saturating_sub(1) as f64;
-        let read = |c: &Prepared| {
+        let read = |c: &PreparedChannel| {
             let risk = c.noise.recalibration.map(|r| r.risk(computed));
             match c.noise.lapses {
                 Some(lapses) => Some(lapses.risk(risk.unwrap_or(computed), length_m)),
@@ -136,7 +136,7 @@ impl Problem<'_> {
     }
 
     /// Map sigma at every indicated position, and the mean distance to the data.
-    fn along(&self, channel: &Prepared) -> (Vec<f64>, f64) {
+    fn along(&self, channel: &PreparedChannel) -> (Vec<f64>, f64) {
         let (mut sigma, mut distance, mut known) = (Vec::with_capacity(self.samples), 0.0, 0.0);
         for ([px, py], storey) in channel.indicated.iter().zip(&channel.storeys) {
             let sample = channel.patch.at(*px, *py, *storey);

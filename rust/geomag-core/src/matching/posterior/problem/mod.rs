@@ -6,7 +6,7 @@ mod likelihoods;
 mod look;
 mod ready;
 
-pub(super) use channel::Prepared;
+pub(super) use channel::PreparedChannel;
 pub(super) use interruption::Interruption;
 pub(super) use likelihoods::{Likelihoods, Scope};
 pub(super) use ready::Problem;

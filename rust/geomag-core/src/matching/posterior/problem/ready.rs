@@ -6,8 +6,8 @@ use super::super::kernel::Setup;
 use super::super::noise::{Interpolant, Noise, bias_prior};
 use super::super::nuisance::{HEIGHT_NARROWED, HEIGHTS, Nuisance, legs, reach_m};
 use super::super::options::PosteriorOptions;
-use super::super::patch::{Patch, Place};
-use super::channel::Prepared;
+use super::super::patch::{Patch, PatchPlace};
+use super::channel::PreparedChannel;
 use super::interruption::Interruption;
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -26,7 +26,7 @@ pub(in super::super) struct Problem<'a> {
     pub field: &'a dyn Field,
     /// The maps of all channels.
     pub fields: Vec<&'a dyn Field>,
-    pub channels: Vec<Prepared>,
+    pub channels: Vec<PreparedChannel>,
     pub samples: usize,
     pub nuisance: Nuisance,
     /// Which straight leg every sample belongs to, and its age from 1 (first) to 0 (newest).
@@ -162,9 +162,10 @@ impl<'a> Problem<'a> {
             let map_variance = variances.filter(|v| v.is_finite()).sum::<f64>() / n as f64;
             let largest = values.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
             let unit = (noise.sensor_variance + map_variance).sqrt().max(1e-7 * f64::from(largest)).max(1e-30);
-            let places = indicated.iter().zip(&storeys).map(|(p, storey)| Place::new(*p).in_storey(*storey)).collect();
+            let places =
+                indicated.iter().zip(&storeys).map(|(p, storey)| PatchPlace::new(*p).in_storey(*storey)).collect();
             let places = vec![places];
-            prepared.push(Prepared {
+            prepared.push(PreparedChannel {
                 patch,
                 lifted: Vec::new(),
                 places,
@@ -188,7 +189,7 @@ impl<'a> Problem<'a> {
             }
         }
         if !nuisance.shapes.is_empty() || options.height_sigma_m > 0.0 {
-            let linear_m = prepared.iter().map(Prepared::linear_m).fold(f64::INFINITY, f64::min);
+            let linear_m = prepared.iter().map(PreparedChannel::linear_m).fold(f64::INFINITY, f64::min);
             nuisance = nuisance.divided(linear_m, &away, &age);
             if options.height_sigma_m > 0.0 {
                 nuisance = nuisance.at_heights();
@@ -216,7 +217,7 @@ impl<'a> Problem<'a> {
         })
     }
 
-    pub fn setup<'b>(&'b self, channel: &'b Prepared, component: usize, step: [f64; 2]) -> Setup<'b> {
+    pub fn setup<'b>(&'b self, channel: &'b PreparedChannel, component: usize, step: [f64; 2]) -> Setup<'b> {
         let jitter = self.options.position_sigma_m.powi(2);
         // The lattice step is the width of a uniform distribution.
         let blur = |d: usize| ((step[d] * self.scale_m[d]).powi(2) / 12.0 + jitter) as f32;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(super) struct Candidate {
+pub(super) struct GateCandidate {
     pub offset: [f64; 2],
     /// Interval of the biases that most of the samples so far allow, and how many these are.
     pub bias: [f64; 2],
@@ -16,7 +16,7 @@ pub(super) struct Candidate {
     pub misses: u32,
 }
 
-impl Candidate {
+impl GateCandidate {
     pub fn new(offset: [f64; 2]) -> Self {
         let all = [f64::NEG_INFINITY, f64::INFINITY];
         Self { offset, bias: all, support: 0, rival: all, rival_support: 0, misses: 0 }

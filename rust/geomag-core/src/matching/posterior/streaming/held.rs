@@ -7,7 +7,7 @@ use super::super::noise::Noise;
 use super::super::nuisance::reach_m;
 use super::super::options::PosteriorOptions;
 use super::super::patch::Patch;
-use super::candidate::Candidate;
+use super::candidate::GateCandidate;
 use crate::bounds::{require_places, require_values};
 use crate::error::{Error, Result, require_finite, require_not_negative};
 use crate::field::Field;
@@ -44,7 +44,7 @@ pub(super) struct Held {
     /// Samples let go since the gate was last laid out.
     pub let_go: usize,
     pub lattice: Lattice,
-    pub candidates: Vec<Candidate>,
+    pub candidates: Vec<GateCandidate>,
     /// By how much the offset may have moved since the candidates were last spread, metres.
     pub moved_m: f64,
     pub next: usize,
@@ -143,7 +143,7 @@ impl Held {
         let (half_x, half_y) = (half_x + self.moved_m * per_x, half_y + self.moved_m * per_y);
         let between = if noise.levels.iter().any(|l| l.between > 0.0) { BETWEEN } else { 0.0 };
         // What a bias may step and walk by, and what a height may change: over it the map changes about as much as along it.
-        let untold = GATE * o.leg_bias_sigma.hypot(o.bias_walk);
+        let untold = GATE * o.leg_bias_sigma.hypot(o.bias_drift_sigma);
         let lift_cells = 3.0 * o.height_sigma_m * per_x.max(per_y);
         let bias_reach = match o.bias_sigma {
             None => f64::INFINITY,
@@ -198,7 +198,7 @@ impl Held {
         }
         s.moved_m = 0.0;
         let most = s.lattice.most;
-        let index = |c: &Candidate| s.lattice.index(c.offset);
+        let index = |c: &GateCandidate| s.lattice.index(c.offset);
         let (mut low, mut high) = (index(first), index(first));
         for at in s.candidates.iter().map(index) {
             for d in 0..2 {
@@ -215,13 +215,13 @@ impl Held {
         let rows = (high[1] - low[1] + 1) as usize;
         // A box is a row of columns: one axis after the other costs the sum of its sides, not their product.
         for d in 0..2 {
-            let mut wider: Vec<Option<Candidate>> = vec![None; columns * rows];
+            let mut wider: Vec<Option<GateCandidate>> = vec![None; columns * rows];
             for c in &s.candidates {
                 let at = s.lattice.index(c.offset);
                 for k in (at[d] - rings[d]).max(low[d])..=(at[d] + rings[d]).min(high[d]) {
                     let to = if d == 0 { [k, at[1]] } else { [at[0], k] };
                     let place = &mut wider[(to[1] - low[1]) as usize * columns + (to[0] - low[0]) as usize];
-                    place.get_or_insert(Candidate { offset: s.lattice.offset(to), ..*c }).join(c);
+                    place.get_or_insert(GateCandidate { offset: s.lattice.offset(to), ..*c }).join(c);
                 }
             }
             s.candidates = wider.into_iter().flatten().collect();

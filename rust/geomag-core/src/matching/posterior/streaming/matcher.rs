@@ -8,7 +8,7 @@ use super::super::noise::wants_curves;
 use super::super::options::PosteriorOptions;
 use super::super::patch::Patch;
 use super::super::problem::{Interruption, Problem};
-use super::candidate::Candidate;
+use super::candidate::GateCandidate;
 use super::held::{FEWEST, Held};
 use crate::bounds::{require_place, require_values};
 use crate::error::{Error, Result, require_finite};
@@ -72,7 +72,7 @@ impl PosteriorMatcher {
             return Err(Error::invalid("max_samples", format!("at least {FEWEST}"), max_samples));
         }
         let lattice = Lattice::new(field.spacing(), &options)?;
-        let candidates = lattice.offsets().into_iter().map(Candidate::new).collect();
+        let candidates = lattice.offsets().into_iter().map(GateCandidate::new).collect();
         let state = Held {
             options,
             sigma,
@@ -269,7 +269,7 @@ impl PosteriorMatcher {
         if saved.lattice != lattice {
             return refuse("its lattice is not that of this map");
         }
-        let on_lattice = |c: &Candidate| {
+        let on_lattice = |c: &GateCandidate| {
             let index = lattice.index(c.offset);
             (0..2).all(|d| index[d].unsigned_abs() <= lattice.most[d] as u64) && lattice.offset(index) == c.offset
         };
@@ -330,7 +330,7 @@ impl PosteriorMatcher {
     fn renew_gate(&mut self) -> Result<()> {
         self.state.let_go = 0;
         for c in &mut self.state.candidates {
-            *c = Candidate::new(c.offset);
+            *c = GateCandidate::new(c.offset);
         }
         for k in 0..self.state.x.len() {
             let s = &self.state;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::super::options::PosteriorOptions;
-use super::candidate::Candidate;
+use super::candidate::GateCandidate;
 use super::*;
 use crate::error::{Error, Result};
 use crate::field::Field;
@@ -14,7 +14,7 @@ use crate::monitor::{Monitor, Quiet};
 #[test]
 fn an_outlier_costs_one_miss_wherever_it_comes() {
     for outlier in 0..6 {
-        let mut c = Candidate::new([0.0; 2]);
+        let mut c = GateCandidate::new([0.0; 2]);
         for k in 0..12 {
             let middle = if k == outlier { 90.0 } else { 10.0 + 0.1 * f64::from(k) };
             c.take([middle - 2.0, middle + 2.0], f64::INFINITY);
@@ -26,7 +26,7 @@ fn an_outlier_costs_one_miss_wherever_it_comes() {
 
 #[test]
 fn a_bias_beyond_its_bound_is_a_miss() {
-    let mut c = Candidate::new([0.0; 2]);
+    let mut c = GateCandidate::new([0.0; 2]);
     for _ in 0..5 {
         c.take([30.0, 34.0], 20.0);
     }
@@ -45,8 +45,8 @@ fn candidates_spread_as_far_as_the_offset_may_have_moved() {
     let mut matcher = PosteriorMatcher::new(field.clone(), Some(1.0), options, 10).unwrap();
     matcher.state.y.push(3000.0);
     matcher.state.candidates = vec![
-        Candidate { misses: 2, bias: [0.0, 4.0], ..Candidate::new([200.0, 300.0]) },
-        Candidate { misses: 1, bias: [3.0, 5.0], ..Candidate::new([900.0, 300.0]) },
+        GateCandidate { misses: 2, bias: [0.0, 4.0], ..GateCandidate::new([200.0, 300.0]) },
+        GateCandidate { misses: 1, bias: [3.0, 5.0], ..GateCandidate::new([900.0, 300.0]) },
     ];
     matcher.state.moved_m = 150.0;
     matcher.state.spread(&*field, 2.0);
@@ -58,8 +58,8 @@ fn candidates_spread_as_far_as_the_offset_may_have_moved() {
     assert!(places.iter().all(|o| o[0].abs() <= 1000.0 && (o[1] - 300.0).abs() <= 200.0));
     assert!(places.windows(2).all(|w| (w[0][1], w[0][0]) < (w[1][1], w[1][0])), "row by row");
     assert_eq!(matcher.state.moved_m, 0.0);
-    let mut near = Candidate { misses: 2, bias: [0.0, 4.0], ..Candidate::new([0.0; 2]) };
-    near.join(&Candidate { misses: 1, support: 7, bias: [3.0, 5.0], ..Candidate::new([100.0, 0.0]) });
+    let mut near = GateCandidate { misses: 2, bias: [0.0, 4.0], ..GateCandidate::new([0.0; 2]) };
+    near.join(&GateCandidate { misses: 1, support: 7, bias: [3.0, 5.0], ..GateCandidate::new([100.0, 0.0]) });
     assert_eq!((near.offset, near.misses, near.support, near.bias), ([0.0; 2], 1, 7, [0.0, 5.0]));
 }
 
