@@ -8,6 +8,8 @@ use super::outcome::Inputs;
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION};
 
+/// Time below which nothing is carried on, seconds: rates are divided by it.
+const SHORTEST_STEP_S: f64 = 1e-9;
 /// Longest time over which the errors are carried on at once, seconds.
 const LONGEST_STEP_S: f64 = 5.0;
 /// The most that errors can be, whatever the equations of small errors say after hours without a correction: half the way round the
@@ -58,7 +60,7 @@ impl Navigator {
         mut each: impl FnMut(&Rows, &[f64], &[f64]),
     ) {
         let gap = now.time_s - before.time_s;
-        if gap <= 0.0 {
+        if gap < SHORTEST_STEP_S {
             return;
         }
         let turns = self.state.inputs != Inputs::Positions;

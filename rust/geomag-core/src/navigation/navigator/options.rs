@@ -203,8 +203,8 @@ pub(super) fn check_covariance(c: &[[f64; 2]; 2]) -> Result<()> {
         return Err(Error::invalid("covariance_m2", "a symmetric matrix", format!("{} and {}", c[0][1], c[1][0])));
     }
     // By the correlation: beside a large variance a small one may be wrong by all of itself.
-    let product = c[0][0].max(0.0) * c[1][1].max(0.0);
-    if c[0][0] < 0.0 || c[1][1] < 0.0 || c[0][1] * c[1][0] > product * (1.0 + 1e-9) {
+    let most = c[0][0].max(0.0).sqrt() * c[1][1].max(0.0).sqrt() * (1.0 + 1e-9);
+    if c[0][0] < 0.0 || c[1][1] < 0.0 || c[0][1].abs().max(c[1][0].abs()) > most {
         return Err(Error::NotPositiveDefinite { what: "covariance_m2".into(), detail: format!("{c:?}") });
     }
     Ok(())
