@@ -296,7 +296,7 @@ def test_walks_of_a_field_navigator_and_limits_of_filters_have_old_names():
     sigmas = {"speed_sigma_m_s": 1.0, "heading_sigma_deg": 1.0, "bias_sigma": 1.0}
     new = {"speed_walk_m_s_sqrt_s": 0.1, "heading_walk_deg_sqrt_s": 0.2, "bias_walk_sqrt_s": 0.3}
     old = {"speed_walk": 0.1, "heading_walk_deg": 0.2, "bias_walk": 0.3}
-    with pytest.warns(DeprecationWarning) as warned:
+    with pytest.warns(DeprecationWarning, match="is the old name of") as warned:
         before = geomag.FieldNavigator(GRID, **given, **sigmas, **old)
     assert [str(w.message).split()[-1] for w in warned] == [f"{name}=" for name in new]
     now = geomag.FieldNavigator(GRID, **given, **sigmas, **new)

@@ -86,7 +86,9 @@ impl ErrorFilter {
         let sigma: Vec<f64> = (0..n).map(|i| self.at(i, i).sqrt()).collect();
         let known = |i: usize| sigma[i] > 0.0;
         let alike = (0..n).all(|i| (0..i).all(|j| self.at(i, j) == self.at(j, i)));
-        let certain = (0..n).all(|i| known(i) || (0..n).all(|j| self.at(i, j) == 0.0));
+        // A variance that is zero may have been too small for a number, and a covariance beside it is then no larger than that allows.
+        let least = f64::MIN_POSITIVE.sqrt();
+        let certain = (0..n).all(|i| known(i) || (0..n).all(|j| self.at(i, j).abs() <= least * sigma[j]));
         let correlations = nalgebra::DMatrix::from_fn(n, n, |i, j| {
             let own = if i == j { 1.0 + ROUNDING } else { 0.0 };
             if i == j || !known(i) || !known(j) { own } else { self.at(i, j) / sigma[i] / sigma[j] }
