@@ -12,8 +12,12 @@ import pytest
 import geomag
 from geomag.calibration import Calibration
 from geomag.survey import ErrorModel, limit_of_mean
+from geomag.survey import _trials as trials
 from geomag.survey._fit import fit_lapses, fit_recalibration, recalibrated
+from geomag.survey._folds import Fold
+from geomag.survey._model import Law
 from geomag.survey._steps import Steps
+from geomag.survey._surface import Axes
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +98,67 @@ def test_the_line_is_found_where_answers_are_many_and_shrunk_where_they_are_few(
     # Windows that overlap weigh as those that would not.
     thinned = fit_recalibration(np.repeat(risk[:300], 4), np.repeat(wrong[:300], 4), 0.25, 0.002)
     assert thinned == pytest.approx(fit_recalibration(risk[:300], wrong[:300], 1.0, 0.002), abs=1e-6)
+
+
+@pytest.fixture
+def survey_parts():
+    """Two folds of straight lines over one map, each with 49 windows of 20 samples 100 m apart, and how they are flown."""
+    axis = np.arange(0.0, 16_000.0, 200.0)
+    base = geomag.GridMap(np.sin(axis / 900) + np.cos(axis[:, None] / 700), axis, axis)
+    along = np.arange(100.0, 15_800.0, 50.0)
+    rows = 500.0 + 1000.0 * np.arange(14)
+    lines = [geomag.survey.Lines(along, 0 * along + y, 0 * along, np.full(along.size, k)) for k, y in enumerate(rows)]
+    axes = Axes.of(base)
+    distance = np.full((axis.size, axis.size), 300.0)
+    parts = [Fold([], lines[k::2], axes, base, distance, []) for k in (0, 1)]
+    return parts, trials.Settings(100.0, 1000.0, 200.0, 20)
+
+
+@pytest.mark.parametrize(("most", "spare"), [(1000, 82), (60, 45)])
+def test_windows_that_models_are_not_tried_on_are_kept_for_the_line(survey_parts, monkeypatch, most, spare):
+    monkeypatch.setattr(trials, "MOST_WINDOWS", 16)
+    monkeypatch.setattr(trials, "MOST_LINE_WINDOWS", most)
+    parts, settings = survey_parts
+    assert trials.flown(parts, settings, np.random.default_rng(1)) == 1.0
+    tried, kept = (
+        [{(x[0], y[0]) for x, y, _ in getattr(part, name)} for part in parts] for name in ("windows", "spare")
+    )
+    assert sum(map(len, tried)) == 16
+    assert 0.6 * spare <= sum(map(len, kept)) <= spare
+    assert not any(a & b for a, b in zip(tried, kept, strict=True))
+    # All are taken before one is flown twice.
+    monkeypatch.setattr(trials, "MOST_WINDOWS", 400)
+    trials.flown(parts, settings, np.random.default_rng(1))
+    assert not any(part.spare for part in parts)
+
+
+def test_the_line_is_learnt_at_the_correlation_that_is_flown_from_all_windows(survey_parts, monkeypatch):
+    monkeypatch.setattr(trials, "MOST_WINDOWS", 16)
+    parts, settings = survey_parts
+    rng = np.random.default_rng(2)
+    independent = trials.flown(parts, settings, rng)
+    one = trials.Trials(parts, Law(0.1, 300.0, 200.0), (0.1, 0.1, 0.1), settings, independent, rng, Steps(None, 9.0))
+    asked = []
+
+    def answered(self, point, correlation, tracks, offsets):
+        """Answers whose risks want an intercept of minus the correlation, a thousand a fold."""
+        asked.append((correlation, sum(map(len, tracks)), [o.shape for o in offsets]))
+        computed = rng.normal(0, 2, 2000)
+        wrong = rng.random(2000) < 1 / (1 + np.exp(correlation - computed))
+        return trials.Outcome(1 / (1 + np.exp(-computed)), 0.0 * computed, wrong, np.ones(2000, dtype=bool))
+
+    monkeypatch.setattr(trials.Trials, "_answered", answered)
+    point = trials.Point()
+    ladder = one.at(point)
+    assert ladder.line[1] == pytest.approx(-point.correlation, abs=0.2)
+    chosen = one.chosen(point, 0.5)
+    assert chosen.line == pytest.approx((1.0, -0.5), abs=0.15)
+    windows = [(len(part.windows), len(part.spare)) for part in parts]
+    total, shapes = sum(a for a, _ in windows), [(a, 2) for a, _ in windows]
+    aside, others = sum(b for _, b in windows), [(b, 2) for _, b in windows]
+    assert aside > 4 * total
+    assert asked == [(point.correlation, total, shapes), (0.5, total, shapes), (0.5, aside, others)]
+    assert chosen.risk.size == 4000
 
 
 def test_both_rules_of_declaration():

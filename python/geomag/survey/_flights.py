@@ -100,7 +100,7 @@ def learn_from_flights(
         raise TooFewSamplesError(
             f"flights: needed at least {FEWEST_WINDOWS} windows of {samples} samples, {settings.spacing_m:.0f} m apart, on the map, got {found}"
         )
-    steps = Steps(progress, USUAL_TRIALS + 4.0)
+    steps = Steps(progress, USUAL_TRIALS + 5.0)
     rng = np.random.default_rng(seed)
     independent = flown([part], settings, rng)
     law = Law(flights.survey.noise, 0.5 * SPACINGS * distance_m, axes.cell)

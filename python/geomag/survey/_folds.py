@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Fold:
     base: GridMap
     distance: Array
     windows: list[Window]
+    #: Further ones: too many to try models on, not too many for the line of the model that is chosen.
+    spare: list[Window] = field(default_factory=list)
     _features: tuple[Array, Array] | None = None
 
     @staticmethod

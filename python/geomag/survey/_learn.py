@@ -80,7 +80,7 @@ def learn_errors(
         raise TooFewSamplesError(
             f"survey lines: needed at least {2 * max(folds, 2)} lines for {folds} folds, got {survey.labels}"
         )
-    steps = Steps(progress, folds + 4.0 + USUAL_TRIALS + 4.0)
+    steps = Steps(progress, folds + 4.0 + USUAL_TRIALS + 5.0)
     line_spacing = survey.spacing_m
     settings = Settings.of(line_spacing, spacing_m, half_width_m, tolerance_m, samples)
     axes = Axes.of(grid) if grid is not None else Axes.over(lines, spacing)
@@ -156,10 +156,11 @@ def settled(
     levels = _levels(parts, law, abc)
     trials = Trials(parts, law, abc, settings, independent, rng, steps, correlation_prior, levels=levels[1:])
     point, correlation = trials.search()
-    best, share = trials.at(point), point.share
-    line = best.line
+    share = point.share
     length_m = settings.spacing_m * (settings.samples - 1)
     filter_seed = rng.integers(2**32)
+    best = trials.chosen(point, correlation)
+    line = best.line
 
     def for_filters() -> FilterLaw | None:
         maps, left = trials.maps(share), [part.left for part in parts]

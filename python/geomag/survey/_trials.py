@@ -14,12 +14,15 @@ from geomag.survey._levels import Levels
 from geomag.survey._lines import Array
 from geomag.survey._model import LEARNT_SPREAD, NU, REGISTRATION, Law, sigma_of
 from geomag.survey._steps import Steps
-from geomag.survey._survey import windows_of
+from geomag.survey._survey import Window, windows_of
 
 #: Windows that are learnt from, where the lines give them; overlaps of neighbours and starts of one window that make up for lines that do not.
 MOST_WINDOWS = 800
 MOST_OVERLAP = 0.75
 MOST_STARTS = 3
+#: Windows that the line in log-odds of the chosen model is learnt from, where the lines give so many: a slope from 800 is known to a tenth, which at a risk of
+#: 1 % is a factor of one and a half.
+MOST_LINE_WINDOWS = 4000
 #: Risks are counted as at least this: so many windows tell nothing of lesser ones.
 LEAST_RISK = 0.002
 #: Correlation lengths (in distances to the data): the first that is tried, the factor from one to the next, and how far they go.
@@ -109,6 +112,10 @@ class Point:
         return replace(self, share=SHARES[place]) if 0 <= place < len(SHARES) else None
 
 
+#: What an outcome says of every window.
+ANSWERS = ("risk", "error_m", "wrong", "stated")
+
+
 @dataclass
 class Outcome:
     """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything.
@@ -142,8 +149,11 @@ def flown(parts: list[Fold], settings: Settings, rng: np.random.Generator) -> fl
     share = min(1.0, MOST_WINDOWS / max(count, 1))
     for part, windows in zip(parts, apart, strict=True):
         limit = int(np.ceil(share * len(windows)))
-        kept = [windows[i] for i in np.sort(rng.choice(len(windows), limit, replace=False))] if windows else []
-        part.windows = kept * starts
+        chosen = np.sort(rng.choice(len(windows), limit, replace=False)) if windows else np.empty(0, dtype=int)
+        part.windows = [windows[i] for i in chosen] * starts
+        rest = np.setdiff1d(np.arange(len(windows)), chosen)
+        most = int(len(windows) * MOST_LINE_WINDOWS / count) - limit if count else 0
+        part.spare = [windows[i] for i in rest[:: max(1, -(-rest.size // max(most, 1)))]]
     return min(1.0, alone / max(sum(len(part.windows) for part in parts), 1))
 
 
@@ -169,13 +179,18 @@ class Trials:
         axes = self.parts[0].axes
         self._scale = (axes.cell_m[0] / axes.x[1], axes.cell_m[1] / axes.y[1])
         self._half = (self.settings.half_width_m / self._scale[0], self.settings.half_width_m / self._scale[1])
-        self._offsets = [self.rng.uniform(-1, 1, (len(part.windows), 2)) * self._half for part in self.parts]
-        self._tracks = [
-            [Track(x - o[0], y - o[1], v) for (x, y, v), o in zip(part.windows, offsets, strict=True)]
-            for part, offsets in zip(self.parts, self._offsets, strict=True)
-        ]
+        self._tracks, self._offsets = self._flown([part.windows for part in self.parts])
         on_axes = self.steps.side_by_side(lambda some: some.on(axes), self.levels)
         self._factors: list[Array | float] = [*on_axes] or [1.0] * len(self.parts)
+
+    def _flown(self, windows: list[list[Window]]) -> tuple[list[list[Track]], list[Array]]:
+        """Windows of every fold as tracks with a start error, and these errors."""
+        offsets = [self.rng.uniform(-1, 1, (len(some), 2)) * self._half for some in windows]
+        tracks = [
+            [Track(x - o[0], y - o[1], v) for (x, y, v), o in zip(some, away, strict=True)]
+            for some, away in zip(windows, offsets, strict=True)
+        ]
+        return tracks, offsets
 
     def maps(self, share: float) -> list[tuple[GridMap, Array]]:
         """The maps of all folds with their sigma at a share of that of single samples, and the distances to the data."""
@@ -195,19 +210,31 @@ class Trials:
         """What comes of the windows with an error model."""
         if point in self.seen:
             return self.seen[point]
-        outcome = self._answered(point, point.correlation, self._tracks, self._offsets)
-        known = np.isfinite(outcome.risk)
-        outcome = Outcome(outcome.risk[known], outcome.error_m[known], outcome.wrong[known], outcome.stated[known])
         # What counts is the risk that is declared, so that every model is judged by its best line.
-        stated = outcome.stated
-        line = fit_recalibration(outcome.risk[stated], outcome.wrong[stated], self.independent, LEAST_RISK)
-        outcome.line = line
+        outcome = self._lined([self._answered(point, point.correlation, self._tracks, self._offsets)])
+        line = outcome.line
         outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely(self.correlation_prior)
         priors = zip(line, (SLOPE_PRIOR, INTERCEPT_PRIOR), strict=True)
         outcome.total += sum(0.5 * ((value - centre) / spread) ** 2 for value, (centre, spread) in priors)
         self.seen[point] = outcome
         self.steps.add(1.0)
         return outcome
+
+    def chosen(self, point: Point, correlation: float) -> Outcome:
+        """What comes of the windows, and of those kept aside, with the model as it will be flown: its line is that of its own correlation length."""
+        outcomes = [self._answered(point, correlation, self._tracks, self._offsets)]
+        if any(part.spare for part in self.parts):
+            outcomes.append(self._answered(point, correlation, *self._flown([part.spare for part in self.parts])))
+        self.steps.add(1.0)
+        return self._lined(outcomes)
+
+    def _lined(self, outcomes: list[Outcome]) -> Outcome:
+        """Outcomes as one, those without an answer left out, with their line in log-odds."""
+        columns = [np.concatenate([getattr(one, name) for one in outcomes]) for name in ANSWERS]
+        known = np.isfinite(columns[0])
+        out = Outcome(*(column[known] for column in columns))
+        out.line = fit_recalibration(out.risk[out.stated], out.wrong[out.stated], self.independent, LEAST_RISK)
+        return out
 
     def _answered(self, point: Point, correlation: float, tracks: list[list[Track]], offsets: list[Array]) -> Outcome:
         """What comes of tracks, fold by fold, with an error model; risk NaN where there is no answer."""
