@@ -117,3 +117,15 @@ def test_ins_feedback_is_bounded():
     with pytest.raises(geomag.InvalidInputError, match="latitude"):
         feedback.step(1.0, 10.0, 91.0)
     assert repr(feedback.state) == before
+
+
+@pytest.mark.parametrize("level", [1e8, -1e300, np.nan, np.inf])
+def test_levels_of_harmonic_models_are_bounded(level):
+    north, east = (a.ravel() for a in np.meshgrid(*[np.linspace(-5e3, 5e3, 7)] * 2))
+    vector = np.stack([-30 * np.sin(north / 1e3), 20 * np.cos(east / 700), 30 * np.cos(north / 1e3)], -1)
+    frame = geomag.LocalFrame(50.0, 10.0)
+    model = geomag.RectangularHarmonicModel.fit(north, east, 0.0, vector, order=2, frame=frame)
+    for name in ("down_m", "height_m"):
+        for make in (lambda **o: model.to_map("down", **o), lambda **o: geomag.FieldSensor(model, **o)):
+            with pytest.raises(geomag.InvalidInputError, match=name):
+                make(**{name: level})

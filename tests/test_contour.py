@@ -1,6 +1,7 @@
 """Contour matching against contourpy, scipy and its own covariance."""
 
 import pickle
+import warnings
 
 import contourpy
 import numpy as np
@@ -312,3 +313,19 @@ def test_contours_that_only_just_determine_the_transform_are_no_fix():
     track = along(grid)
     assert geomag.match_contour(grid, track[:1], transform="translation").status == "uninformative"
     assert geomag.match_contour(grid, track[:2]).status == "uninformative"
+
+
+def test_a_tolerance_without_refinement_warns():
+    """Before 0.1.0 was named anew, `tolerance_m` said where the iteration ends: that is `converged_m` now."""
+    axis = np.arange(0.0, 3000.0, 50.0)
+    grid = geomag.GridMap(90 * np.sin(axis / 300)[None, :] * np.cos(axis / 350)[:, None], axis, axis)
+    k = np.arange(20.0)
+    track = geomag.Track(900 + 40 * k, 1000 + 30 * k, grid.sample(950 + 40 * k, 960 + 30 * k))
+    with pytest.warns(UserWarning, match="converged_m"):
+        geomag.match_contour(grid, track, tolerance_m=1e-6)
+    with pytest.warns(UserWarning, match="converged_m"):
+        geomag.SlidingContour(grid, length=8, tolerance_m=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        geomag.match_contour(grid, track, tolerance_m=100.0, refine=True)
+        geomag.match_contour(grid, track, converged_m=1e-6)

@@ -172,6 +172,11 @@ impl Told {
             old_name(py, "fix_radius_m", "tolerance_m")?;
             self.contour.refinement.tolerance_m = Some(radius);
         }
+        if self.contour.refinement.tolerance_m.is_some() && !self.contour.refine {
+            let text = c"tolerance_m= is what counts as wrong, of which the iteration alone says nothing: needed refine=True. \
+                         Where the iteration ends is converged_m=";
+            PyErr::warn(py, &py.get_type::<pyo3::exceptions::PyUserWarning>(), text, 1)?;
+        }
         self.take(map)?;
         let mut o = self.contour;
         if let Some(given) = self.starts.as_ref().map(|s| s.bind(py)) {

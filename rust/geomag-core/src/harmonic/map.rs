@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::evaluate::{Evaluation, norm};
 use super::gridded::MAX_NODES;
 use super::{Positions, RectangularHarmonicModel};
-use crate::error::{Error, Result, require_finite};
+use crate::bounds::require_heights;
+use crate::error::{Error, Result};
 use crate::field::Field;
 use crate::frame::{LocalFrame, metres_per_degree, wrap_longitude};
 use crate::grid::{Axis, GridMap, GridValues, MapHeight, MapSigma};
@@ -148,6 +149,14 @@ impl Altitude {
         }
     }
 
+    /// Refuses levels that no sensor has.
+    fn validate(&self) -> Result<()> {
+        match self {
+            Self::Height(_, height_m) => require_heights("height_m", &[*height_m]),
+            Self::Down(down_m) => require_heights("down_m", &[*down_m]),
+        }
+    }
+
     /// North, east, down at a place as a vector in the axes of the frame.
     #[allow(clippy::wrong_self_convention)] // "from" is the direction of the rotation
     pub(crate) fn from_own(self, x: f64, y: f64, vector: [f64; 3]) -> [f64; 3] {
@@ -164,7 +173,6 @@ impl HarmonicMap {
     /// # Errors
     /// [`Error::Invalid`] for a model without a frame or a main field of length zero; [`Error::NotFinite`].
     pub fn at_height(model: Arc<RectangularHarmonicModel>, quantity: Quantity, height_m: f64) -> Result<Self> {
-        crate::bounds::require_heights("height_m", &[height_m])?;
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
@@ -176,11 +184,11 @@ impl HarmonicMap {
     /// # Errors
     /// [`Error::Invalid`] for a main field of length zero; [`Error::NotFinite`].
     pub fn at_down(model: Arc<RectangularHarmonicModel>, quantity: Quantity, down_m: f64) -> Result<Self> {
-        require_finite("down_m", &[down_m])?;
         Self::on(model, quantity, Altitude::Down(down_m))
     }
 
     pub(crate) fn on(model: Arc<RectangularHarmonicModel>, quantity: Quantity, level: Altitude) -> Result<Self> {
+        level.validate()?;
         let asked = quantity.validate()?;
         let quantity = model.as_fitted(asked);
         let order = model.order().max(1) as f64;

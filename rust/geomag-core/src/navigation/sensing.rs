@@ -52,7 +52,6 @@ impl Sensing {
     /// # Errors
     /// [`Error::NotFinite`], [`Error::Invalid`] for a main field of length zero.
     pub fn at_down(model: Arc<RectangularHarmonicModel>, sensor: Sensor, down_m: f64) -> Result<Self> {
-        crate::error::require_finite("down_m", &[down_m])?;
         Self::harmonic(model, sensor, Altitude::Down(down_m))
     }
 
@@ -61,7 +60,6 @@ impl Sensing {
     /// # Errors
     /// [`Error::NotFinite`], [`Error::Invalid`] for a model without a frame or a main field of length zero.
     pub fn at_height(model: Arc<RectangularHarmonicModel>, sensor: Sensor, height_m: f64) -> Result<Self> {
-        crate::bounds::require_heights("height_m", &[height_m])?;
         let Some(frame) = model.frame().copied() else {
             return Err(Error::invalid("height_m", "a model with a frame on the Earth", "a model without one"));
         };
