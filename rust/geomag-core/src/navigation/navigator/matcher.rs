@@ -39,9 +39,14 @@ pub(super) struct Asked {
 }
 
 impl Navigator {
-    /// Whether the matcher is due at this time, as the filter is now: that takes milliseconds to seconds instead of microseconds.
+    /// Whether the matcher may be asked at a step at this time, as the filter is now: that takes milliseconds to seconds instead of
+    /// microseconds.
     pub fn is_match_due(&self, time_s: f64) -> bool {
-        self.state.options.matcher.is_some_and(|plan| self.occasion(&plan, time_s).is_some())
+        let due = |plan: MatcherPlan| {
+            // The step itself may bring the one sample that is wanting.
+            self.occasion(&plan, time_s).is_some() && self.held(&plan).len() + 1 >= FEWEST.min(plan.samples)
+        };
+        self.state.options.matcher.is_some_and(due)
     }
 
     /// Whether the filter is lost, and whether it is in doubt, where that or the time is an occasion to ask.
@@ -74,12 +79,7 @@ impl Navigator {
 
     /// The newest samples where the filter thinks they were read, as many as the velocity error allows.
     fn window(&self, plan: &MatcherPlan, now: &Newest) -> Option<Track> {
-        let samples = &self.state.watch.samples;
-        let speed_sigma = self.velocity_sigma();
-        let longest_s = MOST_BENDING * self.tolerance_m(plan) / speed_sigma.max(1e-9);
-        let newest = samples.last()?;
-        let first = samples.iter().position(|s| newest.time_s - s.time_s <= longest_s)?;
-        let window = &samples[first..];
+        let window = self.held(plan);
         if window.len() < FEWEST.min(plan.samples) {
             return None;
         }
@@ -93,6 +93,15 @@ impl Navigator {
         let times = window.iter().map(|s| s.time_s).collect();
         let heights: Option<Vec<f64>> = window.iter().map(|s| s.height_m).collect();
         Track::new(x, y, values, Some(times)).and_then(|t| t.with_height(heights)).ok()
+    }
+
+    /// The newest samples over which the velocity error bends the track by no more than can be put in.
+    fn held(&self, plan: &MatcherPlan) -> &[TimedSample] {
+        let samples = &self.state.watch.samples;
+        let longest_s = MOST_BENDING * self.tolerance_m(plan) / self.velocity_sigma().max(1e-9);
+        let Some(newest) = samples.last() else { return &[] };
+        let first = samples.iter().position(|s| newest.time_s - s.time_s <= longest_s);
+        first.map_or(&[], |first| &samples[first..])
     }
 
     fn velocity_sigma(&self) -> f64 {
