@@ -39,7 +39,7 @@ WAVES, RMS_NT = 160, 90.0
 MAP_ERROR_NT, MAP_ERROR_M = 3.0, 4000.0
 SENSOR_NT, SPIKE_NT, SPIKES = 0.5, 100.0, 0.01
 SPEED_M_S = 60.0
-START_M = 10_000.0
+START_M = 3000.0
 RISK = 1e-3
 
 
@@ -110,7 +110,7 @@ def spans(steps: int, every_s: float, least_s: int, most_s: int, rng: np.random.
     return inside
 
 
-def made_up(steps: int, seed: int) -> Log:
+def made_up(steps: int, seed: int, start_m: float) -> Log:
     rng = np.random.default_rng([seed, steps])
     crust = Crust(seed, RMS_NT, 60_000.0, 4000.0, WAVES)
     wrong = Crust(seed + 1, MAP_ERROR_NT, 4 * MAP_ERROR_M, 0.75 * MAP_ERROR_M, 60)
@@ -125,7 +125,7 @@ def made_up(steps: int, seed: int) -> Log:
     tx, ty = path(steps, rng)
     seconds = np.arange(float(steps))
     ins = geomag.InsModel.navigation()
-    error = synthetic.draw_inertial_error(ins, rng, position_sigma_m=START_M)
+    error = synthetic.draw_inertial_error(ins, rng, position_sigma_m=start_m)
     indicated = synthetic.indicate(seconds, tx, ty, geographic=False, error=error, ins=ins, seed=rng)
 
     # Half the time on the map's level, else at some other, with climbs between.
@@ -178,10 +178,10 @@ def resident_kib() -> int:
         return next((int(line.split()[1]) for line in status if line.startswith("VmRSS")), 0)
 
 
-def flown(log: Log, restarts: Array) -> dict[str, Any]:
+def flown(log: Log, restarts: Array, start_m: float) -> dict[str, Any]:
     """The log through one navigator, step by step, taken from its saved state at the given steps."""
     n = log.time_s.size
-    navigator = geomag.Navigator(log.grid, position_sigma_m=START_M, integrity_risk=RISK)
+    navigator = geomag.Navigator(log.grid, position_sigma_m=start_m, integrity_risk=RISK)
     again = np.zeros(n, dtype=bool)
     again[restarts] = True
     spent = np.zeros(n, dtype=np.int64)
@@ -277,17 +277,25 @@ def main() -> int:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--steps", type=int, default=WEEK_S)
     ask.add_argument("--seed", type=int, default=1)
+    ask.add_argument(
+        "--start-m",
+        type=float,
+        default=START_M,
+        help="standard deviation of the start, metres; from 10,000 on the matcher is needed",
+    )
     ask.add_argument("--json", type=Path)
     ask.add_argument("--again", action="store_true", help=argparse.SUPPRESS)  # the second run: only its bits are told
     asked = ask.parse_args()
-    log = made_up(asked.steps, asked.seed)
+    log = made_up(asked.steps, asked.seed, asked.start_m)
     if asked.again:
-        print(flown(log, restarts_of(asked.steps, asked.seed))["bits"])
+        print(flown(log, restarts_of(asked.steps, asked.seed), asked.start_m)["bits"])
         return 0
-    run = flown(log, np.array([], dtype=int))
+    run = flown(log, np.array([], dtype=int), asked.start_m)
     out = figures(run, log)
     other = dict(os.environ, RAYON_NUM_THREADS="1" if os.environ.get("RAYON_NUM_THREADS") != "1" else "3")
-    command = [sys.executable, __file__, "--again", "--steps", str(asked.steps), "--seed", str(asked.seed)]
+    command = [sys.executable, __file__, "--again"]
+    for option in ("steps", "seed", "start-m"):
+        command += [f"--{option}", str(getattr(asked, option.replace("-", "_")))]
     bits = subprocess.run(command, env=other, capture_output=True, text=True, check=True).stdout.strip()
     out["restarts"] = len(restarts_of(asked.steps, asked.seed))
     out["same_bits"] = bits == run["bits"]
