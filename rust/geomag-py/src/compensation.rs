@@ -4,9 +4,9 @@ use geomag_core::compensation::{Compensator, SCALE_NT, TERMS, rates, terms};
 use geomag_core::error::Error;
 use geomag_core::state;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
 
 use crate::arrays::{optional_vector, shaped, vector};
+use crate::class::{Reduced, reduced_to_bytes};
 use crate::error::PyRes;
 use crate::frame::vectors;
 use crate::lock::Shared;
@@ -86,11 +86,8 @@ impl PyCompensator {
         self.inner.with(py, |c| c.max_gap_s())
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = slf.get().inner.with(py, |c| state::save(c))?;
-        let arguments = (PyBytes::new(py, &bytes),).into_pyobject(py)?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+        reduced_to_bytes(slf, &slf.get().inner.with(slf.py(), |c| state::save(c))?)
     }
 
     #[staticmethod]

@@ -18,9 +18,10 @@ use geomag_core::matching::transform::{Transform, TransformKind};
 use geomag_core::stack::extent;
 use geomag_core::{common_options, contour_options, motion_prior_options, refine_options, starts_options};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyDict;
 
 use crate::arrays::{broadcast, matrix, optional_vector, shaped, vector};
+use crate::class::{Reduced, reduced};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::PyGridMap;
@@ -558,10 +559,9 @@ macro_rules! contour_calls {
                 self.inner.seen(py)
             }
 
-            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-                let py = slf.py();
-                let bytes = slf.get().inner.saved(py)?;
-                Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+                let (py, this) = (slf.py(), slf.get());
+                reduced(slf, (this.grid.clone_ref(py), this.inner.saved(py)?))
             }
 
             #[staticmethod]

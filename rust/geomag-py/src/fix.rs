@@ -2,9 +2,10 @@
 
 use geomag_core::fix::Fix;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyTuple};
+use pyo3::types::PyDict;
 
 use crate::arrays::{points, shaped};
+use crate::class::{Reduced, properties, reduced_to_bytes};
 use crate::error::PyRes;
 use crate::state;
 
@@ -36,139 +37,82 @@ impl From<Fix> for PyFix {
     }
 }
 
-#[pymethods]
-impl PyFix {
-    /// Corrected newest position, map units (longitudes on the map's own turn).
-    #[getter]
-    fn x(&self) -> f64 {
-        self.inner.x
-    }
+properties! {
+    PyFix: fix {
+        /// Corrected newest position, map units (longitudes on the map's own turn).
+        x: f64 = fix.x;
 
-    /// Corrected newest position, map units.
-    #[getter]
-    fn y(&self) -> f64 {
-        self.inner.y
-    }
+        /// Corrected newest position, map units.
+        y: f64 = fix.y;
 
-    /// Offset (x, y) at the newest point, map units.
-    #[getter]
-    fn offset(&self) -> (f64, f64) {
-        self.inner.offset.into()
-    }
+        /// Offset (x, y) at the newest point, map units.
+        offset: (f64, f64) = fix.offset.into();
 
-    /// Offset (east, north) at the newest point, metres.
-    #[getter]
-    fn offset_m(&self) -> (f64, f64) {
-        self.inner.offset_m.into()
-    }
+        /// Offset (east, north) at the newest point, metres.
+        offset_m: (f64, f64) = fix.offset_m.into();
 
-    /// Heading correction, degrees, clockwise.
-    #[getter]
-    fn heading_deg(&self) -> f64 {
-        self.inner.heading_deg
-    }
+        /// Heading correction, degrees, clockwise.
+        heading_deg: f64 = fix.heading_deg;
 
-    /// Scale correction: true over indicated distance.
-    #[getter]
-    fn scale(&self) -> f64 {
-        self.inner.scale
-    }
+        /// Scale correction: true over indicated distance.
+        scale: f64 = fix.scale;
 
-    /// Estimated constant of the measurement, measured minus map; None where the method estimates none.
-    #[getter]
-    fn bias(&self) -> Option<f64> {
-        self.inner.bias
-    }
+        /// Estimated constant of the measurement, measured minus map; None where the method estimates none.
+        bias: Option<f64> = fix.bias;
 
-    /// Covariance (2, 2) of the position, square metres, east-north; None where the method has none.
-    #[getter]
-    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.inner.covariance_m2.map(|c| shaped(py, c.concat(), &[2, 2])).transpose()
-    }
+        /// Covariance (2, 2) of the position, square metres, east-north; None where the method has none.
+        covariance_m2(py): PyRes<Option<Bound<'py, PyAny>>> =
+            fix.covariance_m2.map(|c| shaped(py, c.concat(), &[2, 2])).transpose();
 
-    /// Declared probability that the error is beyond the tolerance; None where the method has none.
-    #[getter]
-    fn risk(&self) -> Option<f64> {
-        self.inner.risk
-    }
+        /// Declared probability that the error is beyond the tolerance; None where the method has none.
+        risk: Option<f64> = fix.risk;
 
-    /// p-value of the residuals under the model; None where the method has no such test.
-    #[getter]
-    fn goodness(&self) -> Option<f64> {
-        self.inner.goodness
-    }
+        /// p-value of the residuals under the model; None where the method has no such test.
+        goodness: Option<f64> = fix.goodness;
 
-    /// What the readings ask for that was not told, where the answer is rejected for it: (effect, estimate, log evidence gained);
-    /// else None.
-    ///
-    /// `height` (metres above the map), `legs` and `bias_drift` (value units), `reading_scale` (factor), `heading` (degrees), `drift`
-    /// (metres from the first sample to the newest): tell it the next time, or find out where it comes from.
-    #[getter]
-    fn misfit(&self) -> Option<(String, f64, f64)> {
-        self.inner.misfit.as_ref().map(|m| (m.effect.clone(), m.estimate, m.log_evidence))
-    }
+        /// What the readings ask for that was not told, where the answer is rejected for it: (effect, estimate, log evidence gained);
+        /// else None.
+        ///
+        /// `height` (metres above the map), `legs` and `bias_drift` (value units), `reading_scale` (factor), `heading` (degrees), `drift`
+        /// (metres from the first sample to the newest): tell it the next time, or find out where it comes from.
+        misfit: Option<(String, f64, f64)> =
+            fix.misfit.as_ref().map(|m| (m.effect.clone(), m.estimate, m.log_evidence));
 
-    /// One of fixed, searching, ambiguous, at_edge, lost, uninformative, not_converged, rejected.
-    #[getter]
-    fn status(&self) -> &'static str {
-        self.inner.status.as_str()
-    }
+        /// One of fixed, searching, ambiguous, at_edge, lost, uninformative, not_converged, rejected.
+        status: &'static str = fix.status.as_str();
 
-    /// True only where the fix may be used.
-    #[getter]
-    fn ok(&self) -> bool {
-        self.inner.ok()
-    }
+        /// True only where the fix may be used.
+        ok: bool = fix.ok();
 
-    /// Score of the answer in the measure's own sense.
-    #[getter]
-    fn score(&self) -> f64 {
-        self.inner.score
-    }
+        /// Score of the answer in the measure's own sense.
+        score: f64 = fix.score;
 
-    /// Best score away from the answer; NaN where there is none.
-    #[getter]
-    fn runner_up(&self) -> f64 {
-        self.inner.runner_up
-    }
+        /// Best score away from the answer; NaN where there is none.
+        runner_up: f64 = fix.runner_up;
 
-    /// Samples that the answer rests on.
-    #[getter]
-    fn n_samples(&self) -> usize {
-        self.inner.n_samples
-    }
+        /// Samples that the answer rests on.
+        n_samples: usize = fix.n_samples;
 
-    /// Iterations taken; 1 for direct methods.
-    #[getter]
-    fn iterations(&self) -> usize {
-        self.inner.iterations
-    }
+        /// Iterations taken; 1 for direct methods.
+        iterations: usize = fix.iterations;
 
-    /// Corrected points (n, 2), oldest first, map units.
-    #[getter]
-    fn track<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        points(py, &self.inner.track)
-    }
+        /// Corrected points (n, 2), oldest first, map units.
+        track(py): PyRes<Bound<'py, PyAny>> = points(py, &fix.track);
 
-    /// Lowest and greatest height (metres above the height datum) at which the map was read, where it is a stack of levels or was
-    /// continued to the track's heights; None where it was taken as it is.
-    #[getter]
-    fn heights_m(&self) -> Option<(f64, f64)> {
-        self.inner.heights_m.map(Into::into)
-    }
+        /// Lowest and greatest height (metres above the height datum) at which the map was read, where it is a stack of levels or was
+        /// continued to the track's heights; None where it was taken as it is.
+        heights_m: Option<(f64, f64)> = fix.heights_m.map(Into::into);
 
-    /// Scores (rows = y offset ascending, columns = x offset ascending), NaN where there is none; None if not asked for.
-    #[getter]
-    fn surface<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.inner.surface.as_ref().map(|s| shaped(py, s.values.clone(), &[s.rows, s.columns])).transpose()
-    }
+        /// Scores (rows = y offset ascending, columns = x offset ascending), NaN where there is none; None if not asked for.
+        surface(py): PyRes<Option<Bound<'py, PyAny>>> =
+            fix.surface.as_ref().map(|s| shaped(py, s.values.clone(), &[s.rows, s.columns])).transpose();
 
-    /// x offsets of the surface's columns and y offsets of its rows, map units.
-    #[getter]
-    fn surface_axes<'py>(&self, py: Python<'py>) -> PyRes<Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>> {
-        let Some(s) = &self.inner.surface else { return Ok(None) };
-        let axis = |n: usize, d: usize| (0..n).map(|i| s.first[d] + s.step[d] * i as f64).collect::<Vec<_>>();
-        Ok(Some((shaped(py, axis(s.columns, 0), &[s.columns])?, shaped(py, axis(s.rows, 1), &[s.rows])?)))
+        /// x offsets of the surface's columns and y offsets of its rows, map units.
+        surface_axes(py): PyRes<Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>> = {
+            let Some(s) = &fix.surface else { return Ok(None) };
+            let axis = |n: usize, d: usize| (0..n).map(|i| s.first[d] + s.step[d] * i as f64).collect::<Vec<_>>();
+            Ok(Some((shaped(py, axis(s.columns, 0), &[s.columns])?, shaped(py, axis(s.rows, 1), &[s.rows])?)))
+        };
     }
 
     /// Everything but `track` and `surface`, which may be large, as plain Python values; `geomag match --json` adds them.
@@ -196,10 +140,8 @@ impl PyFix {
         Ok(d)
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save(&slf.get().inner)?);
-        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+        reduced_to_bytes(slf, &state::save(&slf.get().inner)?)
     }
 
     #[staticmethod]

@@ -8,9 +8,10 @@ use geomag_core::grid::{Axis, GridMap, GridValues, Interpolation, MapHeight, Map
 use geomag_core::map_error::{DistanceLayer, FilterLaw, Forecast, Lapses, MapErrorModel, Recalibration};
 use numpy::{PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyDict;
 
 use crate::arrays::{array, broadcast, in_place, is_single, matrix, shaped, vector};
+use crate::class::{Reduced, reduced};
 use crate::error::{PyRes, invalid};
 use crate::harmonic::PyHarmonicMap;
 use crate::stack::PyMapStack;
@@ -641,7 +642,7 @@ impl PyGridMap {
         Ok((shaped(py, least, &shape)?, shaped(py, greatest, &shape)?))
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
         let py = slf.py();
         let this = slf.get();
         let (x, y) = (this.inner.x(), this.inner.y());
@@ -662,9 +663,8 @@ impl PyGridMap {
             this.ground_scale(py)?,
             this.turned,
             labels.line_spacing_m,
-        )
-            .into_pyobject(py)?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+        );
+        reduced(slf, arguments)
     }
 
     #[staticmethod]

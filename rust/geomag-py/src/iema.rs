@@ -6,9 +6,9 @@ use geomag_core::field::Field;
 use geomag_core::matching::iema::{Iema, IemaOptions, IemaStep, Unknown};
 use geomag_core::{common_options, iema_options, step_options};
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use crate::arrays::shaped;
+use crate::class::{Reduced, properties, reduced};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
@@ -31,48 +31,28 @@ pub struct PyIemaStep {
     field: Arc<dyn Field>,
 }
 
-#[pymethods]
-impl PyIemaStep {
-    /// `searching`, `fixed` or `lost`.
-    #[getter]
-    fn status(&self) -> &'static str {
-        self.inner.status.as_str()
-    }
+properties! {
+    PyIemaStep: step {
+        /// `searching`, `fixed` or `lost`.
+        status: &'static str = step.status.as_str();
 
-    /// Samples seen, this one included.
-    #[getter]
-    fn n_samples(&self) -> usize {
-        self.inner.n_samples
-    }
+        /// Samples seen, this one included.
+        n_samples: usize = step.n_samples;
 
-    /// Candidates left.
-    #[getter]
-    fn n_feasible(&self) -> usize {
-        self.inner.n_feasible
-    }
+        /// Candidates left.
+        n_feasible: usize = step.n_feasible;
 
-    /// Extent (x, y) of the feasible set, map units.
-    #[getter]
-    fn extent(&self) -> (f64, f64) {
-        self.inner.extent.into()
-    }
+        /// Extent (x, y) of the feasible set, map units.
+        extent: (f64, f64) = step.extent.into();
 
-    /// Offset (x, y) of the greatest score, map units; NaN when lost and until a candidate had a map value.
-    #[getter]
-    fn best_offset(&self) -> (f64, f64) {
-        self.inner.best_offset.into()
-    }
+        /// Offset (x, y) of the greatest score, map units; NaN when lost and until a candidate had a map value.
+        best_offset: (f64, f64) = step.best_offset.into();
 
-    /// Log of the greatest score.
-    #[getter]
-    fn log_score(&self) -> f64 {
-        self.inner.log_score
-    }
+        /// Log of the greatest score.
+        log_score: f64 = step.log_score;
 
-    /// Greatest log score outside one map cell of the best; NaN where there is none.
-    #[getter]
-    fn runner_up(&self) -> f64 {
-        self.inner.runner_up
+        /// Greatest log score outside one map cell of the best; NaN where there is none.
+        runner_up: f64 = step.runner_up;
     }
 
     /// The answer at this step as a `Fix`; its track is the newest point alone.
@@ -227,10 +207,9 @@ macro_rules! iema_class {
                 self.inner.with(py, |iema| iema.n_feasible())
             }
 
-            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-                let py = slf.py();
-                let bytes = slf.get().inner.saved(py)?;
-                Ok((slf.get_type().getattr("_restore")?, (slf.get().grid.clone_ref(py), bytes).into_pyobject(py)?))
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+                let (py, this) = (slf.py(), slf.get());
+                reduced(slf, (this.grid.clone_ref(py), this.inner.saved(py)?))
             }
 
             #[staticmethod]

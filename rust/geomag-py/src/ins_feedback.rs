@@ -4,9 +4,9 @@ use geomag_core::error::Error;
 use geomag_core::ins_feedback_options;
 use geomag_core::navigation::ins_feedback::{CorrectedPosition, FeedbackStep, InsErrorModel, InsFeedback};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
 
 use crate::arrays::{matrix, pair, shaped};
+use crate::class::{Reduced, properties, reduced_to_bytes};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::lock::Shared;
@@ -29,30 +29,19 @@ pub struct PyCorrectedPosition {
     inner: CorrectedPosition,
 }
 
-#[pymethods]
-impl PyCorrectedPosition {
-    /// East, map units.
-    #[getter]
-    fn x(&self) -> f64 {
-        self.inner.x
-    }
+properties! {
+    PyCorrectedPosition: position {
+        /// East, map units.
+        x: f64 = position.x;
 
-    /// North, map units.
-    #[getter]
-    fn y(&self) -> f64 {
-        self.inner.y
-    }
+        /// North, map units.
+        y: f64 = position.y;
 
-    /// True minus indicated, metres (east, north).
-    #[getter]
-    fn offset_m(&self) -> (f64, f64) {
-        self.inner.offset_m.into()
-    }
+        /// True minus indicated, metres (east, north).
+        offset_m: (f64, f64) = position.offset_m.into();
 
-    /// Covariance, square metres, east-north.
-    #[getter]
-    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.covariance_m2.concat(), &[2, 2])
+        /// Covariance, square metres, east-north.
+        covariance_m2(py): PyRes<Bound<'py, PyAny>> = shaped(py, position.covariance_m2.concat(), &[2, 2]);
     }
 
     fn __repr__(&self) -> String {
@@ -70,30 +59,19 @@ pub struct PyFeedbackStep {
     inner: FeedbackStep,
 }
 
-#[pymethods]
-impl PyFeedbackStep {
-    /// As predicted, before any fix of this step.
-    #[getter]
-    fn before(&self) -> PyCorrectedPosition {
-        PyCorrectedPosition { inner: self.inner.before }
-    }
+properties! {
+    PyFeedbackStep: step {
+        /// As predicted, before any fix of this step.
+        before: PyCorrectedPosition = PyCorrectedPosition { inner: step.before };
 
-    /// After the fix of this step.
-    #[getter]
-    fn after(&self) -> PyCorrectedPosition {
-        PyCorrectedPosition { inner: self.inner.after }
-    }
+        /// After the fix of this step.
+        after: PyCorrectedPosition = PyCorrectedPosition { inner: step.after };
 
-    /// Normalised innovation squared of the fix (chi-square, 2 degrees of freedom); None without a fix.
-    #[getter]
-    fn nis(&self) -> Option<f64> {
-        self.inner.nis
-    }
+        /// Normalised innovation squared of the fix (chi-square, 2 degrees of freedom); None without a fix.
+        nis: Option<f64> = step.nis;
 
-    /// Whether a fix was used.
-    #[getter]
-    fn accepted(&self) -> bool {
-        self.inner.accepted
+        /// Whether a fix was used.
+        accepted: bool = step.accepted;
     }
 
     fn __repr__(&self) -> String {
@@ -244,10 +222,8 @@ macro_rules! ins_feedback_class {
                 self.inner.with(py, |f| f.refused())
             }
 
-            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-                let py = slf.py();
-                let bytes = PyBytes::new(py, &slf.get().inner.with(py, |f| state::save(f))?);
-                Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+                reduced_to_bytes(slf, &slf.get().inner.with(slf.py(), |f| state::save(f))?)
             }
 
             #[staticmethod]

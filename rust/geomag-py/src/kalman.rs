@@ -5,9 +5,9 @@ use geomag_core::kalman::{ExtendedKalmanFilter, Innovation, MAX_STATES, Scaling,
 use geomag_core::scaling_options;
 use numpy::{PyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
 
 use crate::arrays::{array, shaped, vector};
+use crate::class::{Reduced, reduced_to_bytes};
 use crate::error::{PyError, PyRes, invalid};
 use crate::lock::{Shared, Turns};
 use crate::navigator::PyFieldSensor;
@@ -292,9 +292,8 @@ macro_rules! unscented_class {
                 row_major(py, &self.snapshot(py).sigma_points().transpose())
             }
 
-            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-                let bytes = geomag_core::state::save(&slf.get().snapshot(slf.py()))?;
-                Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+                reduced_to_bytes(slf, &geomag_core::state::save(&slf.get().snapshot(slf.py()))?)
             }
 
             #[staticmethod]
@@ -449,9 +448,8 @@ impl PyExtendedKalmanFilter {
         self.snapshot(py).estimate().regularisations()
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
-        let bytes = geomag_core::state::save(&slf.get().snapshot(slf.py()))?;
-        Ok((slf.get_type().getattr("_restore")?, (PyBytes::new(slf.py(), &bytes),)))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+        reduced_to_bytes(slf, &geomag_core::state::save(&slf.get().snapshot(slf.py()))?)
     }
 
     #[staticmethod]

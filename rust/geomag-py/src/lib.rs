@@ -23,6 +23,7 @@ mod options;
 
 mod arrays;
 mod campaign;
+mod class;
 mod compensation;
 mod contour;
 mod error;

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use geomag_core::main_field::MainField;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use crate::arrays::{broadcast, matrix, shaped, vector};
+use crate::class::{Reduced, reduced};
 use crate::error::PyRes;
 use crate::frame::stacked;
 use crate::long_call;
@@ -105,11 +105,11 @@ impl PyMainFieldModel {
         self.inner == other.inner
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
         let py = slf.py();
         let this = slf.get();
-        let arguments = (this.epochs(py)?, this.g(py)?, this.h(py)?, this.degree()).into_pyobject(py)?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+        let arguments = (this.epochs(py)?, this.g(py)?, this.h(py)?, this.degree());
+        reduced(slf, arguments)
     }
 
     #[staticmethod]

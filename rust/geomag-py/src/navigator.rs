@@ -13,9 +13,10 @@ use geomag_core::stack::check_height;
 use geomag_core::{field_navigator_options, scaling_options};
 use numpy::{PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
+use pyo3::types::PyBytes;
 
 use crate::arrays::{broadcast, matrix, pair, shaped, vector};
+use crate::class::{Reduced, properties, reduced};
 use crate::error::{PyRes, invalid};
 use crate::grid::{field, interpolation};
 use crate::harmonic::{PyHarmonicMap, PyHarmonicModel, main_vector, quantity};
@@ -165,7 +166,7 @@ impl PyFieldSensor {
         self.inner.len()
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
         let t = slf.get();
         let py = slf.py();
         let arguments = (
@@ -176,7 +177,7 @@ impl PyFieldSensor {
             t.height_m,
             t.interpolation.as_str(),
         );
-        Ok((slf.get_type().getattr("_restore")?, arguments.into_pyobject(py)?))
+        reduced(slf, arguments)
     }
 
     #[staticmethod]
@@ -207,48 +208,28 @@ pub struct PyFieldNavigatorStep {
     inner: FieldNavigatorStep,
 }
 
-#[pymethods]
-impl PyFieldNavigatorStep {
-    /// East or longitude, map units.
-    #[getter]
-    fn x(&self) -> f64 {
-        self.inner.x
-    }
+properties! {
+    PyFieldNavigatorStep: step {
+        /// East or longitude, map units.
+        x: f64 = step.x;
 
-    /// North or latitude, map units.
-    #[getter]
-    fn y(&self) -> f64 {
-        self.inner.y
-    }
+        /// North or latitude, map units.
+        y: f64 = step.y;
 
-    /// Covariance of the position, square metres, east-north.
-    #[getter]
-    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.covariance_m2.as_flattened().to_vec(), &[2, 2])
-    }
+        /// Covariance of the position, square metres, east-north.
+        covariance_m2(py): PyRes<Bound<'py, PyAny>> = shaped(py, step.covariance_m2.as_flattened().to_vec(), &[2, 2]);
 
-    /// `updated`, `predicted` (no reading), `rejected` (by the gate) or `off_field`.
-    #[getter]
-    fn outcome(&self) -> &'static str {
-        self.inner.outcome.as_str()
-    }
+        /// `updated`, `predicted` (no reading), `rejected` (by the gate) or `off_field`.
+        outcome: &'static str = step.outcome.as_str();
 
-    /// Normalised innovation squared; none where there was no reading to compare.
-    #[getter]
-    fn nis(&self) -> Option<f64> {
-        self.inner.nis
-    }
+        /// Normalised innovation squared; none where there was no reading to compare.
+        nis: Option<f64> = step.nis;
 
-    /// Numbers in that reading.
-    #[getter]
-    fn dof(&self) -> usize {
-        self.inner.dof
-    }
+        /// Numbers in that reading.
+        dof: usize = step.dof;
 
-    /// Whether the innovations say that the filter has lost its way.
-    #[getter]
-    fn diverged(&self) -> bool {
-        self.inner.diverged
+        /// Whether the innovations say that the filter has lost its way.
+        diverged: bool = step.diverged;
     }
 
     fn __repr__(&self) -> String {
@@ -510,10 +491,10 @@ macro_rules! field_navigator_class {
                 self.sensor.clone_ref(py)
             }
 
-            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
                 let py = slf.py();
                 let bytes = PyBytes::new(py, &slf.get().inner.with(py, |n| n.save())?);
-                Ok((slf.get_type().getattr("_restore")?, (slf.get().sensor.clone_ref(py), bytes).into_pyobject(py)?))
+                reduced(slf, (slf.get().sensor.clone_ref(py), bytes))
             }
 
             #[staticmethod]

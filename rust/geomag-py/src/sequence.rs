@@ -7,9 +7,10 @@ use geomag_core::matching::sequence::{
 use geomag_core::matching::tuning::{BpsoOptions, InsDraw, Setting, TuneMethod, TuneOptions, tune_sequence};
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyTuple};
+use pyo3::types::PyDict;
 
 use crate::arrays::{optional_vector, vector};
+use crate::class::{Reduced, reduced_to_bytes};
 use crate::contour::transform_kind;
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
@@ -95,10 +96,8 @@ impl PyDeltaModulator {
         self.inner.with(py, |m| m.staircase())
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = PyBytes::new(py, &slf.get().inner.with(py, |m| state::save(m))?);
-        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+        reduced_to_bytes(slf, &slf.get().inner.with(slf.py(), |m| state::save(m))?)
     }
 
     #[staticmethod]

@@ -8,10 +8,10 @@ use geomag_core::grid::Axis;
 use geomag_core::state;
 use geomag_core::synthetic::{CrustSpec, InsError, InsSpread, Leg, Path, Random, SensorModel, SyntheticField};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyTuple};
 use serde::de::DeserializeOwned;
 
 use crate::arrays::{broadcast, shaped, vector};
+use crate::class::{Reduced, properties, reduced_to_bytes};
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
 use crate::long_call;
@@ -115,10 +115,8 @@ impl PySyntheticField {
         Ok(PyGridMap::from_core(map, name, units, crs))
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save(&slf.get().inner)?);
-        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+        reduced_to_bytes(slf, &state::save(&slf.get().inner)?)
     }
 
     #[staticmethod]
@@ -153,8 +151,21 @@ pub struct PyPath {
     pub inner: Path,
 }
 
-#[pymethods]
-impl PyPath {
+properties! {
+    PyPath: path {
+        /// True x (east), map units.
+        x(py): PyRes<Bound<'py, PyAny>> = shaped(py, path.x().to_vec(), &[path.len()]);
+
+        /// True y (north), map units.
+        y(py): PyRes<Bound<'py, PyAny>> = shaped(py, path.y().to_vec(), &[path.len()]);
+
+        /// Times, seconds.
+        time_s(py): PyRes<Bound<'py, PyAny>> = shaped(py, path.time_s().to_vec(), &[path.len()]);
+
+        /// Whether coordinates are degrees.
+        geographic: bool = path.geographic();
+    }
+
     #[new]
     #[pyo3(signature = (x, y, time_s, *, geographic = false))]
     fn new(x: &Bound<'_, PyAny>, y: &Bound<'_, PyAny>, time_s: &Bound<'_, PyAny>, geographic: bool) -> PyRes<Self> {
@@ -193,30 +204,6 @@ impl PyPath {
         Ok(Self { inner: Path::along_legs(start, course_deg, speed_m_s, interval_s, &legs, geographic)? })
     }
 
-    /// True x (east), map units.
-    #[getter]
-    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.x().to_vec(), &[self.inner.len()])
-    }
-
-    /// True y (north), map units.
-    #[getter]
-    fn y<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.y().to_vec(), &[self.inner.len()])
-    }
-
-    /// Times, seconds.
-    #[getter]
-    fn time_s<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.time_s().to_vec(), &[self.inner.len()])
-    }
-
-    /// Whether coordinates are degrees.
-    #[getter]
-    fn geographic(&self) -> bool {
-        self.inner.geographic()
-    }
-
     /// True minus indicated position of the newest sample, metres (east, north).
     fn offset_m(&self, track: &PyTrack) -> (f64, f64) {
         displacement_m(self.inner.geographic(), track.inner.newest(), self.inner.newest()).into()
@@ -226,10 +213,8 @@ impl PyPath {
         self.inner.len()
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
-        let py = slf.py();
-        let bytes = PyBytes::new(py, &state::save(&slf.get().inner)?);
-        Ok((slf.get_type().getattr("_restore")?, (bytes,).into_pyobject(py)?))
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
+        reduced_to_bytes(slf, &state::save(&slf.get().inner)?)
     }
 
     #[staticmethod]

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use geomag_core::field::Field;
 use geomag_core::track::Track;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use crate::arrays::{optional_vector, shaped, vector};
+use crate::class::{Reduced, properties, reduced};
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
 
@@ -69,8 +69,26 @@ pub fn all_on(py: Python<'_>, map: &Bound<'_, PyAny>, tracks: &[Bound<'_, PyTrac
     tracks.iter().map(|t| Ok((*t.get().on(py, map)?).clone())).collect()
 }
 
-#[pymethods]
-impl PyTrack {
+properties! {
+    PyTrack: track {
+        /// Indicated x, map units.
+        x(py): PyRes<Bound<'py, PyAny>> = shaped(py, track.x().to_vec(), &[track.len()]);
+
+        /// Indicated y, map units.
+        y(py): PyRes<Bound<'py, PyAny>> = shaped(py, track.y().to_vec(), &[track.len()]);
+
+        /// Measured values.
+        values(py): PyRes<Bound<'py, PyAny>> = shaped(py, track.values().to_vec(), &[track.len()]);
+
+        /// Times in seconds, or None.
+        time_s(py): PyRes<Option<Bound<'py, PyAny>>> =
+            track.time_s().map(|t| shaped(py, t.to_vec(), &[t.len()])).transpose();
+
+        /// Heights in metres above the height datum of the map, one a sample, or None.
+        height_m(py): PyRes<Option<Bound<'py, PyAny>>> =
+            track.height_m().map(|h| shaped(py, h.to_vec(), &[h.len()])).transpose();
+    }
+
     #[new]
     #[pyo3(signature = (x, y, values, time_s = None, *, height_m = None, geographic = None))]
     fn new(
@@ -92,36 +110,6 @@ impl PyTrack {
             _ => h,
         });
         Ok(Self { inner: Arc::new(track.with_height(height)?), geographic })
-    }
-
-    /// Indicated x, map units.
-    #[getter]
-    fn x<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.x().to_vec(), &[self.inner.len()])
-    }
-
-    /// Indicated y, map units.
-    #[getter]
-    fn y<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.y().to_vec(), &[self.inner.len()])
-    }
-
-    /// Measured values.
-    #[getter]
-    fn values<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.values().to_vec(), &[self.inner.len()])
-    }
-
-    /// Times in seconds, or None.
-    #[getter]
-    fn time_s<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.inner.time_s().map(|t| shaped(py, t.to_vec(), &[t.len()])).transpose()
-    }
-
-    /// Heights in metres above the height datum of the map, one a sample, or None.
-    #[getter]
-    fn height_m<'py>(&self, py: Python<'py>) -> PyRes<Option<Bound<'py, PyAny>>> {
-        self.inner.height_m().map(|h| shaped(py, h.to_vec(), &[h.len()])).transpose()
     }
 
     /// Whether positions are degrees of longitude and latitude; None where it was not said: they are as the map's then.
@@ -155,13 +143,12 @@ impl PyTrack {
         Ok(Self { inner: Arc::new(track.with_height(t.height_m().map(pick))?), geographic: self.geographic })
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
         let py = slf.py();
         let this = slf.get();
         let arguments =
-            (this.x(py)?, this.y(py)?, this.values(py)?, this.time_s(py)?, this.height_m(py)?, this.geographic)
-                .into_pyobject(py)?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+            (this.x(py)?, this.y(py)?, this.values(py)?, this.time_s(py)?, this.height_m(py)?, this.geographic);
+        reduced(slf, arguments)
     }
 
     #[staticmethod]

@@ -6,10 +6,10 @@ use geomag_core::field::Field;
 use geomag_core::grid::{Axis, GridMap};
 use geomag_core::harmonic::HarmonicMap;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use super::{PyHarmonicModel, quantity_name};
 use crate::arrays::{broadcast, shaped, vector};
+use crate::class::{Reduced, reduced};
 use crate::error::{PyRes, invalid};
 use crate::grid::PyGridMap;
 
@@ -110,11 +110,11 @@ impl PyHarmonicMap {
         quantity_name(self.inner.quantity()).0
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
         let this = slf.get();
         let (name, main) = quantity_name(this.inner.quantity());
-        let arguments = (this.model(), name, main, this.down_m, this.height_m).into_pyobject(slf.py())?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+        let arguments = (this.model(), name, main, this.down_m, this.height_m);
+        reduced(slf, arguments)
     }
 
     #[staticmethod]

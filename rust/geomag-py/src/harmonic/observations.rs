@@ -1,13 +1,16 @@
 //! `FieldObservations`.
 
 use geomag_core::error::Error;
-use geomag_core::harmonic::Observations;
+use geomag_core::harmonic::{Observations, Positions};
 use pyo3::prelude::*;
 
 use super::points::{Points, flat, main_vectors, sigmas};
 use crate::error::PyRes;
 use crate::frame::vectors;
 use crate::lock::Shared;
+
+/// `Observations::anomaly` or `Observations::intensity`.
+type ScalarReadings = fn(&mut Observations, &Positions<'_>, &[f64], &[[f64; 3]], &[f64]) -> Result<(), Error>;
 
 /// What a harmonic model is fitted to: any mixture of components, anomalies and intensities, each with its own weight.
 ///
@@ -40,6 +43,22 @@ impl PyFieldObservations {
             *o = copy;
             Ok::<(), Error>(())
         })?)
+    }
+
+    /// Adds scalar readings, with the main field that they are read along.
+    fn scalar(
+        &self,
+        py: Python<'_>,
+        [north_m, east_m, down_m]: [&Bound<'_, PyAny>; 3],
+        values: &Bound<'_, PyAny>,
+        main_field: &Bound<'_, PyAny>,
+        sigma: Option<&Bound<'_, PyAny>>,
+        add: ScalarReadings,
+    ) -> PyRes<()> {
+        let points = Points::new(north_m, east_m, down_m)?;
+        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
+        let positions = points.positions()?;
+        self.change(py, |o| add(o, &positions, &values, &main, &sigma))
     }
 }
 
@@ -83,10 +102,7 @@ impl PyFieldObservations {
         main_field: &Bound<'py, PyAny>,
         sigma: Option<&Bound<'py, PyAny>>,
     ) -> PyRes<Bound<'py, Self>> {
-        let points = Points::new(north_m, east_m, down_m)?;
-        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
-        let positions = points.positions()?;
-        slf.get().change(slf.py(), |o| o.anomaly(&positions, &values, &main, &sigma))?;
+        slf.get().scalar(slf.py(), [north_m, east_m, down_m], values, main_field, sigma, Observations::anomaly)?;
         Ok(slf)
     }
 
@@ -102,10 +118,7 @@ impl PyFieldObservations {
         main_field: &Bound<'py, PyAny>,
         sigma: Option<&Bound<'py, PyAny>>,
     ) -> PyRes<Bound<'py, Self>> {
-        let points = Points::new(north_m, east_m, down_m)?;
-        let (values, main, sigma) = (flat("values", values)?, main_vectors(main_field)?, sigmas(sigma)?);
-        let positions = points.positions()?;
-        slf.get().change(slf.py(), |o| o.intensity(&positions, &values, &main, &sigma))?;
+        slf.get().scalar(slf.py(), [north_m, east_m, down_m], values, main_field, sigma, Observations::intensity)?;
         Ok(slf)
     }
 

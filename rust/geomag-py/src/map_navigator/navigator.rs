@@ -7,12 +7,13 @@ use geomag_core::monitor::Monitor;
 use geomag_core::navigation::navigator::{Correction, Indicated, Navigator, NavigatorMethod};
 use geomag_core::navigator_options;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyTuple};
+use pyo3::types::{PyBytes, PyDict};
 
 use super::keywords::{covariance, options};
 use super::log::Log;
 use super::step::PyNavigatorStep;
 use crate::arrays::{optional_vector, pair, shaped};
+use crate::class::{Reduced, reduced};
 use crate::error::{PyRes, invalid};
 use crate::fix::PyFix;
 use crate::grid::field;
@@ -208,12 +209,12 @@ impl PyNavigator {
         shaped(py, values, &[n, n])
     }
 
-    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
         let py = slf.py();
         let this = slf.get();
         let bytes = this.inner.with(py, |n| n.save())?;
-        let arguments = (this.map.clone_ref(py), PyBytes::new(py, &bytes)).into_pyobject(py)?;
-        Ok((slf.get_type().getattr("_restore")?, arguments))
+        let arguments = (this.map.clone_ref(py), PyBytes::new(py, &bytes));
+        reduced(slf, arguments)
     }
 
     #[staticmethod]

@@ -7,11 +7,11 @@ use geomag_core::matching::posterior::{PosteriorMatcher, PosteriorOptions};
 use geomag_core::matching::stream::{Sample, Stream, feed};
 use geomag_core::{common_options, posterior_options};
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use super::matching::{self, Area, merge};
 use super::prediction::PyPrediction;
 use super::streaming::PyPosteriorStep;
+use crate::class::{Reduced, reduced};
 use crate::error::PyRes;
 use crate::fix::PyFix;
 use crate::grid::field;
@@ -420,11 +420,9 @@ macro_rules! calls {
                 self.inner.with(py, |m| m.n_feasible())
             }
 
-            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyTuple>)> {
+            fn __reduce__<'py>(slf: &Bound<'py, Self>) -> Reduced<'py> {
                 let (py, this) = (slf.py(), slf.get());
-                let state = this.inner.saved(py)?;
-                let arguments = (this.grid.clone_ref(py), state).into_pyobject(py)?;
-                Ok((slf.get_type().getattr("_restore")?, arguments))
+                reduced(slf, (this.grid.clone_ref(py), this.inner.saved(py)?))
             }
 
             #[staticmethod]

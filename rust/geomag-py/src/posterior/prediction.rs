@@ -4,6 +4,7 @@ use geomag_core::matching::posterior::Prediction;
 use pyo3::prelude::*;
 
 use crate::arrays::shaped;
+use crate::class::properties;
 use crate::error::PyRes;
 
 /// What is to be expected of a fix along a planned track; made by `predict_many`.
@@ -15,42 +16,25 @@ pub struct PyPrediction {
     pub inner: Prediction,
 }
 
-#[pymethods]
-impl PyPrediction {
-    /// Cramer-Rao bound of the newest position for white normal errors of the stated size, square metres, east-north, (2, 2).
-    #[getter]
-    fn bound_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.bound_m2.concat(), &[2, 2])
-    }
+properties! {
+    PyPrediction: prediction {
+        /// Cramer-Rao bound of the newest position for white normal errors of the stated size, square metres, east-north, (2, 2).
+        bound_m2(py): PyRes<Bound<'py, PyAny>> = shaped(py, prediction.bound_m2.concat(), &[2, 2]);
 
-    /// Expected covariance of the fix: the bound with tails, correlation and registration, square metres, east-north, (2, 2).
-    #[getter]
-    fn covariance_m2<'py>(&self, py: Python<'py>) -> PyRes<Bound<'py, PyAny>> {
-        shaped(py, self.inner.covariance_m2.concat(), &[2, 2])
-    }
+        /// Expected covariance of the fix: the bound with tails, correlation and registration, square metres, east-north, (2, 2).
+        covariance_m2(py): PyRes<Bound<'py, PyAny>> = shaped(py, prediction.covariance_m2.concat(), &[2, 2]);
 
-    /// Samples after which twice the expected standard deviation is within the tolerance; none if never.
-    #[getter]
-    fn samples_to_fix(&self) -> Option<usize> {
-        self.inner.samples_to_fix
-    }
+        /// Samples after which twice the expected standard deviation is within the tolerance; none if never.
+        samples_to_fix: Option<usize> = prediction.samples_to_fix;
 
-    /// Share of the simulated flights that were fixed; NaN without flights.
-    #[getter]
-    fn fix_probability(&self) -> f64 {
-        self.inner.fix_probability
-    }
+        /// Share of the simulated flights that were fixed; NaN without flights.
+        fix_probability: f64 = prediction.fix_probability;
 
-    /// Share of those fixes that were wrong; NaN without flights.
-    #[getter]
-    fn wrong_share(&self) -> f64 {
-        self.inner.wrong_share
-    }
+        /// Share of those fixes that were wrong; NaN without flights.
+        wrong_share: f64 = prediction.wrong_share;
 
-    /// Simulated flights.
-    #[getter]
-    fn flights(&self) -> usize {
-        self.inner.flights
+        /// Simulated flights.
+        flights: usize = prediction.flights;
     }
 
     fn __repr__(&self) -> String {

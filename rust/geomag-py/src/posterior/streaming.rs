@@ -3,6 +3,7 @@
 use geomag_core::matching::posterior::PosteriorStep;
 use pyo3::prelude::*;
 
+use crate::class::properties;
 use crate::fix::PyFix;
 
 /// What one sample did to a `PosteriorMatcher`.
@@ -14,36 +15,22 @@ pub struct PyPosteriorStep {
     pub inner: PosteriorStep,
 }
 
-#[pymethods]
-impl PyPosteriorStep {
-    /// Whether a fix may be declared, and why not.
-    #[getter]
-    fn status(&self) -> &'static str {
-        self.inner.status.as_str()
-    }
+properties! {
+    PyPosteriorStep: step {
+        /// Whether a fix may be declared, and why not.
+        status: &'static str = step.status.as_str();
 
-    /// Candidates left.
-    #[getter]
-    fn n_feasible(&self) -> usize {
-        self.inner.n_feasible
-    }
+        /// Candidates left.
+        n_feasible: usize = step.n_feasible;
 
-    /// Extent (x, y) of the candidates left, map units.
-    #[getter]
-    fn extent(&self) -> (f64, f64) {
-        self.inner.extent.into()
-    }
+        /// Extent (x, y) of the candidates left, map units.
+        extent: (f64, f64) = step.extent.into();
 
-    /// Risk of the newest answer; 1 before there is one.
-    #[getter]
-    fn risk(&self) -> f64 {
-        self.inner.risk
-    }
+        /// Risk of the newest answer; 1 before there is one.
+        risk: f64 = step.risk;
 
-    /// The answer, where the posterior was taken at this sample.
-    #[getter]
-    fn fix(&self) -> Option<PyFix> {
-        self.inner.fix.clone().map(PyFix::from)
+        /// The answer, where the posterior was taken at this sample.
+        fix: Option<PyFix> = step.fix.clone().map(PyFix::from);
     }
 
     fn __repr__(&self) -> String {
