@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use std::sync::Arc;
-//! use geomag_core::campaign::{Campaign, Method, RandomTracks, TrackPlan, run};
+//! use geomag_core::campaign::{Campaign, CampaignMethod, RandomTracks, TrackPlan, run};
 //! use geomag_core::matching::iema::IemaOptions;
 //! use geomag_core::monitor::Quiet;
 //! use geomag_core::synthetic::{CrustSpec, InsSpread, PositionSpread, SensorModel};
@@ -17,7 +17,7 @@
 //!     ins: InsSpread { position: PositionSpread::Uniform { half_width: [3000.0; 2] }, ..InsSpread::default() },
 //!     sensor: SensorModel::white(1.0),
 //! };
-//! let method = Method::Iema(IemaOptions::new(1.0, [3000.0; 2]));
+//! let method = CampaignMethod::Iema(IemaOptions::new(1.0, [3000.0; 2]));
 //! let all = run(&campaign, &map, &*map, &[method.clone()], &[0, 1, 2, 3], &Quiet)?;
 //! let last = run(&campaign, &map, &*map, &[method], &[3], &Quiet)?;
 //! assert_eq!(all[0][3].error_m, last[0][0].error_m);

@@ -119,14 +119,14 @@ impl TrackInformation {
     /// know of other places that fit as well.
     ///
     /// ```
-    /// use geomag_core::information::{Block, TrackInformation};
+    /// use geomag_core::information::{NodeBlock, TrackInformation};
     /// // A plane tells nothing across its slope; waves in both directions do.
     /// let n = 60_usize;
     /// let values: Vec<f64> = (0..n * n)
     ///     .map(|i| 80.0 * ((i % n) as f64 / 3.0).sin() * ((i / n) as f64 / 4.0).cos())
     ///     .collect();
     /// let y: Vec<f64> = (0..n).map(|i| 500.0 * i as f64).collect();
-    /// let block = Block { values: &values, y: &y, columns: n, spacing: [500.0; 2], geographic: false };
+    /// let block = NodeBlock { values: &values, y: &y, columns: n, spacing: [500.0; 2], geographic: false };
     /// let north = &TrackInformation::default().bound(&block)?[0];
     /// assert!(north.error_m[40 * n + 30] < 100.0);
     /// assert!(north.error_m[0].is_nan()); // its track lies off the map

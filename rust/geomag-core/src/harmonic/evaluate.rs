@@ -228,7 +228,7 @@ impl RectangularHarmonicModel {
     /// point), from the covariance of the coefficients; NaN outside the region unless `extrapolate`.
     ///
     /// The error of the fit, and where the model was told of it what the order leaves out (see
-    /// [`FieldMisfit`](super::Misfit)).
+    /// [`FieldMisfit`](super::FieldMisfit)).
     ///
     /// # Errors
     /// [`Error::Invalid`] where the model has no covariance, [`Error::Shape`] for another number of directions.

@@ -59,13 +59,13 @@ struct FieldNavigatorState {
 /// ```
 /// use std::sync::Arc;
 /// use geomag_core::grid::{GridMap, GridValues, Interpolation};
-/// use geomag_core::navigation::field_navigator::{FieldNavigator, NavigatorOptions};
+/// use geomag_core::navigation::field_navigator::{FieldNavigator, FieldNavigatorOptions};
 /// use geomag_core::navigation::sensing::Sensing;
 /// let axis: Vec<f64> = (0..50).map(|i| f64::from(i) * 20.0).collect();
 /// let values = (0..2500).map(|k| 90.0 * (f64::from(k % 50) / 7.0).sin() + 80.0 * (f64::from(k / 50) / 6.0).cos()).collect();
 /// let map = Arc::new(GridMap::new(GridValues::F64(values), &axis, &axis, false)?);
 /// let truth = |k: u32| [300.0 + 5.0 * f64::from(k), 500.0];
-/// let options = NavigatorOptions { start: [310.0, 495.0], covariance_m2: [[100.0, 0.0], [0.0, 100.0]], ..Default::default() };
+/// let options = FieldNavigatorOptions { start: [310.0, 495.0], covariance_m2: [[100.0, 0.0], [0.0, 100.0]], ..Default::default() };
 /// let mut navigator = FieldNavigator::new(Sensing::map(map.clone(), Interpolation::Bicubic), options)?;
 /// for k in 1..60 {
 ///     let [x, y] = truth(k);
