@@ -125,12 +125,15 @@ def spread_out(values: Array, radius: float) -> Array:
     half = max(1, round(np.sqrt(1 + 4 * radius**2) / 2 - 0.5))
     for _ in range(3):
         for axis in (0, 1):
-            padded = np.pad(values, [(half + 1, half) if d == axis else (0, 0) for d in (0, 1)])
-            total = np.cumsum(padded, axis=axis)
             n = values.shape[axis]
-            upper = np.take(total, np.arange(n) + 2 * half + 1, axis=axis)
-            values = (upper - np.take(total, np.arange(n), axis=axis)) / (2 * half + 1)
-    return np.asarray(values, dtype=np.float64)
+            total = np.moveaxis(np.cumsum(values, axis=axis), axis, 0)
+            values = np.empty(values.shape)
+            box, ahead = np.moveaxis(values, axis, 0), min(half, n)
+            box[: n - ahead] = total[ahead:]
+            box[n - ahead :] = total[-1]
+            box[half + 1 :] -= total[: max(n - half - 1, 0)]
+            values /= 2 * half + 1
+    return values
 
 
 def features(surface: Array, distance: Array, axes: Axes) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +24,8 @@ MOST_STARTS = 3
 #: Windows that the line in log-odds of the chosen model is learnt from, where the lines give so many: a slope from 800 is known to a tenth, which at a risk of
 #: 1 % is a factor of one and a half.
 MOST_LINE_WINDOWS = 4000
+#: Windows from which a model is tried on half of the folds first, and no further where it is worse there.
+WINDOWS_TO_HALVE = 400
 #: Risks are counted as at least this: so many windows tell nothing of lesser ones.
 LEAST_RISK = 0.002
 #: Correlation lengths (in distances to the data): the first that is tried, the factor from one to the next, and how far they go.
@@ -171,8 +174,13 @@ class Trials:
     correlation_prior: tuple[float, float] = CORRELATION_PRIOR
     #: One a fold, or none.
     levels: list[Levels] = field(default_factory=list)
+    #: Of all windows, and of those of half of the folds.
     seen: dict[Point, Outcome] = field(default_factory=dict)
-    _maps: dict[float, list[tuple[GridMap, Array]]] = field(default_factory=dict)
+    half: dict[Point, Outcome] = field(default_factory=dict)
+    #: Of every fold, with the model that was chosen.
+    whole: list[Outcome] = field(default_factory=list)
+    _maps: dict[tuple[float, int], tuple[GridMap, Array]] = field(default_factory=dict)
+    _answers: dict[tuple[Point, int], Outcome] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Draw the start errors."""
@@ -192,41 +200,70 @@ class Trials:
         ]
         return tracks, offsets
 
-    def maps(self, share: float) -> list[tuple[GridMap, Array]]:
-        """The maps of all folds with their sigma at a share of that of single samples, and the distances to the data."""
-        if share not in self._maps:
-            a, b, c = (share * v for v in self.abc)
+    def maps(self, share: float, folds: Sequence[int] | None = None) -> list[tuple[GridMap, Array]]:
+        """The maps of all folds, or of some, with their sigma at a share of that of single samples, and the distances to the data."""
+        folds = range(len(self.parts)) if folds is None else folds
+        a, b, c = (share * v for v in self.abc)
 
-            def one(k: int) -> tuple[GridMap, Array]:
-                part = self.parts[k]
-                values = np.asarray(part.base.values, dtype=float)
-                sigma = sigma_of(*part.features, part.distance, self.law, a, b, c) * self._factors[k]
-                return layered(part.base, values, sigma, part.distance)
+        def one(k: int) -> tuple[GridMap, Array]:
+            part = self.parts[k]
+            values = np.asarray(part.base.values, dtype=float)
+            sigma = sigma_of(*part.features, part.distance, self.law, a, b, c) * self._factors[k]
+            return layered(part.base, values, sigma, part.distance)
 
-            self._maps[share] = self.steps.side_by_side(one, range(len(self.parts)))
-        return self._maps[share]
+        missing = [k for k in folds if (share, k) not in self._maps]
+        made = self.steps.side_by_side(one, missing)
+        self._maps.update(zip([(share, k) for k in missing], made, strict=True))
+        return [self._maps[share, k] for k in folds]
 
     def at(self, point: Point) -> Outcome:
         """What comes of the windows with an error model."""
-        if point in self.seen:
-            return self.seen[point]
+        if point not in self.seen:
+            self.seen[point] = self._tried(point, range(len(self.parts)))
+        return self.seen[point]
+
+    def at_half(self, point: Point) -> Outcome:
+        """What comes of the windows of half of the folds."""
+        if point not in self.half:
+            self.half[point] = self._tried(point, range(len(self.parts) // 2))
+        return self.half[point]
+
+    def better(self, there: Point, here: Point) -> bool:
+        """Whether one error model has less loss than another, which half of the folds may be enough to deny."""
+        halved = sum(map(len, self._tracks)) >= WINDOWS_TO_HALVE and there not in self.seen
+        if halved and self.at_half(there).total >= self.at_half(here).total:
+            return False
+        return self.at(there).total < self.at(here).total
+
+    def _tried(self, point: Point, folds: range) -> Outcome:
+        missing = [k for k in folds if (point, k) not in self._answers]
+        if missing:
+            tracks, offsets = [self._tracks[k] for k in missing], [self._offsets[k] for k in missing]
+            rows = self._answered(point, point.correlation, tracks, offsets, missing)
+            for k, answers in zip(missing, rows, strict=True):
+                self._answers[point, k] = answers
+            self.steps.add(len(missing) / len(self.parts))
         # What counts is the risk that is declared, so that every model is judged by its best line.
-        outcome = self._lined([self._answered(point, point.correlation, self._tracks, self._offsets)])
-        line = outcome.line
+        outcome = self._lined([self._answers[point, k] for k in folds])
         outcome.total = self.independent * outcome.loss * outcome.risk.size + point.unlikely(self.correlation_prior)
-        priors = zip(line, (SLOPE_PRIOR, INTERCEPT_PRIOR), strict=True)
+        priors = zip(outcome.line, (SLOPE_PRIOR, INTERCEPT_PRIOR), strict=True)
         outcome.total += sum(0.5 * ((value - centre) / spread) ** 2 for value, (centre, spread) in priors)
-        self.seen[point] = outcome
-        self.steps.add(1.0)
         return outcome
 
     def chosen(self, point: Point, correlation: float) -> Outcome:
         """What comes of the windows, and of those kept aside, with the model as it will be flown: its line is that of its own correlation length."""
-        outcomes = [self._answered(point, correlation, self._tracks, self._offsets)]
+        self.whole = self._answered(point, correlation, self._tracks, self._offsets)
+        outcomes = list(self.whole)
         if any(part.spare for part in self.parts):
-            outcomes.append(self._answered(point, correlation, *self._flown([part.spare for part in self.parts])))
+            outcomes += self._answered(point, correlation, *self._flown([part.spare for part in self.parts]))
         self.steps.add(1.0)
         return self._lined(outcomes)
+
+    def _within(self, limit: float, line: tuple[float, float]) -> list[list[int]]:
+        """The windows of every fold to which the chosen model's answer is a statement at a risk of at most so much."""
+        if not self.whole:
+            return [list(range(len(some))) for some in self._tracks]
+        return [list(np.flatnonzero(one.stated & (recalibrated(one.risk, line) <= limit))) for one in self.whole]
 
     def _lined(self, outcomes: list[Outcome]) -> Outcome:
         """Outcomes as one, those without an answer left out, with their line in log-odds."""
@@ -236,13 +273,18 @@ class Trials:
         out.line = fit_recalibration(out.risk[out.stated], out.wrong[out.stated], self.independent, LEAST_RISK)
         return out
 
-    def _answered(self, point: Point, correlation: float, tracks: list[list[Track]], offsets: list[Array]) -> Outcome:
-        """What comes of tracks, fold by fold, with an error model; risk NaN where there is no answer."""
+    def _answered(
+        self,
+        point: Point,
+        correlation: float,
+        tracks: list[list[Track]],
+        offsets: list[Array],
+        folds: Sequence[int] | None = None,
+    ) -> list[Outcome]:
+        """What comes of tracks with an error model, a fold of all or of some each; risk NaN where there is no answer."""
 
-        def answers(part: tuple[tuple[GridMap, Array], list[Track], Array]) -> list[tuple[float, float, bool]]:
+        def answers(part: tuple[tuple[GridMap, Array], list[Track], Array]) -> Outcome:
             (grid, distance), some, true = part
-            if not some:
-                return []
             model = grid.with_error_model(
                 nu=NU,
                 scale_spread=LEARNT_SPREAD,
@@ -259,19 +301,17 @@ class Trials:
                 misfit_threshold=np.inf,
                 progress=self.steps.waited_for,
             )
-            rows = []
+            rows: list[tuple[float, float, bool]] = []
             for fix, offset in zip(fixes, true, strict=True):
                 if fix.risk is None:
                     rows.append((np.nan, np.inf, False))
                     continue
                 away = float(np.hypot(*((np.array(fix.offset) - offset) * self._scale)))
                 rows.append((fix.risk, away, fix.status not in NO_STATEMENT))
-            return rows
+            risk, error_m, stated = np.array(rows, dtype=float).reshape(-1, 3).T
+            return Outcome(risk, error_m, error_m > self.settings.tolerance_m, stated.astype(bool))
 
-        parts = list(zip(self.maps(point.share), tracks, offsets, strict=True))
-        rows = [row for some in self.steps.side_by_side(answers, parts) for row in some]
-        risk, away, stated = np.array(rows, dtype=float).reshape(-1, 3).T
-        return Outcome(risk, away, away > self.settings.tolerance_m, stated.astype(bool))
+        return self.steps.side_by_side(answers, list(zip(self.maps(point.share, folds), tracks, offsets, strict=True)))
 
     def first_answers(
         self, point: Point, correlation: float, line: tuple[float, float]
@@ -281,7 +321,8 @@ class Trials:
         A stream stops at its first answer within its limit, on a track as short as that takes; the answers of one window share its weight.
         """
         n = self.settings.samples
-        whole = [(k, i) for k, some in enumerate(self._tracks) for i, track in enumerate(some) if len(track) == n]
+        likely = enumerate(self._within(LIKELY, line))
+        whole = [(k, i) for k, some in likely for i in some if len(self._tracks[k][i]) == n]
         seen: dict[tuple[int, int], list[tuple[float, float, bool]]] = {one: [] for one in whole}
         left = whole
         for size in sorted({max(3, round(part * n)) for part in PARTS}, reverse=True):
@@ -293,15 +334,16 @@ class Trials:
                 for some, group in zip(self._tracks, groups, strict=True)
             ]
             offsets = [some[group] for some, group in zip(self._offsets, groups, strict=True)]
-            found = self._answered(point, correlation, tracks, offsets)
-            declared = recalibrated(found.risk, line)
             ratio = (n - 1) / (size - 1)
-            order = [(k, i) for k, group in enumerate(groups) for i in group]
             left = []
-            for one, risk, wrong, stated in zip(order, declared, found.wrong, found.stated, strict=True):
-                if stated and risk <= LIKELY:
-                    seen[one].append((float(risk), ratio, bool(wrong)))
-                    left.append(one)
+            for k, (group, found) in enumerate(
+                zip(groups, self._answered(point, correlation, tracks, offsets), strict=True)
+            ):
+                declared = recalibrated(found.risk, line)
+                for i, risk, wrong, stated in zip(group, declared, found.wrong, found.stated, strict=True):
+                    if stated and risk <= LIKELY:
+                        seen[k, i].append((float(risk), ratio, bool(wrong)))
+                        left.append((k, i))
         rows = []
         for answers in seen.values():
             ordered = answers[::-1]
@@ -325,7 +367,7 @@ class Trials:
         for way in (1, -1):
             moved = False
             there = point.neighbour(name, way)
-            while there is not None and self.at(there).total < self.at(point).total:
+            while there is not None and self.better(there, point):
                 point, moved = there, True
                 there = point.neighbour(name, way)
             if moved:
@@ -334,10 +376,11 @@ class Trials:
 
     def _between(self, best: Point) -> float:
         """The lowest point of the parabola through the best correlation length and its neighbours."""
-        around = [self.seen.get(replace(best, step=best.step + k)) for k in (-1, 0, 1)]
-        if any(one is None for one in around):
+        points = [replace(best, step=best.step + k) for k in (-1, 0, 1)]
+        among = next((some for some in (self.seen, self.half) if all(one in some for one in points)), None)
+        if among is None:
             return best.correlation
-        low, middle, high = (one.total for one in around if one is not None)
+        low, middle, high = (among[one].total for one in points)
         bend = low - 2 * middle + high
         shift = 0.0 if bend <= 0 else float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
         return correlation_at(best.step + shift)
@@ -398,7 +441,11 @@ class Trials:
     def misfit_threshold(self, point: Point, correlation: float, line: tuple[float, float]) -> float | None:
         """Log evidence that an effect must gain so that a few percent of the right fixes are refused; None where these are too few to tell."""
         gains = []
-        for (grid, distance), some, offsets in zip(self.maps(point.share), self._tracks, self._offsets, strict=True):
+        # Only what would be declared is tested.
+        fixed = self._within(2 * FORECAST_RISK, line)
+        for (grid, distance), tracks, away, some in zip(
+            self.maps(point.share), self._tracks, self._offsets, fixed, strict=True
+        ):
             if not some:
                 continue
             model = grid.with_error_model(
@@ -411,14 +458,14 @@ class Trials:
             )
             fixes = match_posterior_many(
                 model,
-                some,
+                [tracks[i] for i in some],
                 half_width=self._half,
                 tolerance_m=self.settings.tolerance_m,
                 max_risk=FORECAST_RISK,
                 misfit_threshold=LEAST_GAIN,
                 progress=self.steps.waited_for,
             )
-            for fix, offset in zip(fixes, offsets, strict=True):
+            for fix, offset in zip(fixes, away[some], strict=True):
                 error = np.hypot(*((np.array(fix.offset) - offset) * self._scale))
                 if (fix.ok or fix.misfit is not None) and error <= self.settings.tolerance_m:
                     gains.append(0.0 if fix.misfit is None else fix.misfit[2])

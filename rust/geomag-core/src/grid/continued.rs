@@ -1,5 +1,8 @@
 //! The map as it would look from higher up: what a matcher compares with to find out whether its readings came from there.
 
+// A kernel that is not inlined is not compiled for the instruction set that was chosen.
+#![allow(clippy::inline_always)]
+
 use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
@@ -52,56 +55,110 @@ impl GridMap {
     ///
     /// About a hole and the border the known part alone is continued, as if the field went on beyond at its local mean.
     pub(crate) fn continued(&self, index: usize) -> &[f32] {
-        self.continued.0[index].get_or_init(|| self.continue_by(HEIGHTS_M[index]))
+        self.continued.0[index].get_or_init(|| apart(|| self.continue_by(HEIGHTS_M[index])))
     }
 
     fn continue_by(&self, height_m: f64) -> Vec<f32> {
         let (columns, rows) = (self.x.len(), self.y.len());
         let mean = self.mean;
-        let known: Vec<f32> =
-            (0..columns * rows).map(|i| if self.values.get(i).is_nan() { 0.0 } else { 1.0 }).collect();
-        let values: Vec<f32> = (0..columns * rows)
-            .map(|i| self.values.get(i))
-            .map(|v| if v.is_nan() { 0.0 } else { (v - mean) as f32 })
-            .collect();
+        let node = |i| self.values.get(i);
+        let nodes = (0..columns * rows).into_par_iter();
+        let known: Vec<f32> = nodes.clone().map(|i| if node(i).is_nan() { 0.0 } else { 1.0 }).collect();
+        let values: Vec<f32> = nodes.map(node).map(|v| if v.is_nan() { 0.0 } else { (v - mean) as f32 }).collect();
         let [_, north] = self.metres_per_unit(0.5 * (self.y.first() + self.y.last()));
-        let (mut sum, mut weight) = (vec![0.0_f32; values.len()], vec![0.0_f32; values.len()]);
-        for kernel in KERNELS {
-            let sigma_m = kernel * height_m;
-            for (plane, total) in [(&values, &mut sum), (&known, &mut weight)] {
-                let mut plane = plane.clone();
-                let of_row = |row: usize| {
-                    let [east, _] = self.metres_per_unit(self.y.at(row));
-                    sigma_m / (east * self.x.step())
-                };
-                plane.par_chunks_mut(columns).enumerate().for_each(|(row, line)| smooth(line, of_row(row)));
-                let mut turned = transposed(&plane, columns);
-                let cells = sigma_m / (north * self.y.step());
-                turned.par_chunks_mut(rows).for_each(|line| smooth(line, cells));
-                for (total, v) in total.iter_mut().zip(transposed(&turned, rows)) {
-                    *total += v;
+        let of_row = |row: usize| {
+            let [east, _] = self.metres_per_unit(self.y.at(row));
+            east * self.x.step()
+        };
+        let cell_m = north * self.y.step();
+        let mut by_rows = vec![[0.0; LANES]; rows.div_ceil(LANES) * columns];
+        let mut continued = |plane: &[f32]| {
+            // By columns of blocks, as `along_columns` leaves them.
+            let mut total = vec![0.0_f32; columns.div_ceil(LANES) * rows * LANES];
+            for kernel in KERNELS {
+                let sigma_m = kernel * height_m;
+                along_rows(plane, columns, |row| sigma_m / of_row(row), &mut by_rows);
+                along_columns(&by_rows, columns, rows, sigma_m / cell_m, &mut total);
+            }
+            total
+        };
+        let (sum, weight) = (continued(&values), continued(&known));
+        let mut out = vec![f32::NAN; columns * rows];
+        out.par_chunks_mut(columns).zip(known.par_chunks(columns)).enumerate().for_each(|(row, (out, known))| {
+            for (block, (out, known)) in out.chunks_mut(LANES).zip(known.chunks(LANES)).enumerate() {
+                let at = (block * rows + row) * LANES;
+                for ((out, known), (sum, weight)) in out.iter_mut().zip(known).zip(sum[at..].iter().zip(&weight[at..]))
+                {
+                    if *known > 0.0 {
+                        *out = sum / weight.max(f32::MIN_POSITIVE);
+                    }
                 }
             }
-        }
-        (sum.iter().zip(&weight).zip(&known))
-            .map(|((sum, weight), known)| if *known > 0.0 { sum / weight.max(f32::MIN_POSITIVE) } else { f32::NAN })
-            .collect()
+        });
+        out
     }
 }
 
-fn transposed(plane: &[f32], columns: usize) -> Vec<f32> {
-    let rows = plane.len() / columns;
-    let mut out = vec![0.0; plane.len()];
-    out.par_chunks_mut(rows).enumerate().for_each(|(column, line)| {
-        for (row, v) in line.iter_mut().enumerate() {
-            *v = plane[row * columns + column];
-        }
+/// What `work` gives, computed by as many threads as there are here, none of which does anything else.
+///
+/// A thread that waits for its share to be done takes up other work of its pool, which may ask for what it is itself just making, and
+/// would wait for ever.
+fn apart<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    let threads = rayon::current_num_threads();
+    let done = std::thread::scope(|scope| {
+        let with_pool = || match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+            Ok(pool) => pool.install(work),
+            // The system grants no more threads.
+            Err(_) => work(),
+        };
+        scope.spawn(with_pool).join()
     });
-    out
+    done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }
 
-/// Smooths a line by about a normal kernel of that standard deviation in cells; nothing lies beyond its ends.
-fn smooth(line: &mut [f32], sigma: f64) {
+/// Lines that are smoothed side by side.
+const LANES: usize = 16;
+
+/// A sample of each of the lines that are smoothed side by side.
+type Lines = [f32; LANES];
+
+/// Smooths the rows of `plane` into blocks of [`LANES`] rows; `cells` is the standard deviation in a row, which those of a block share.
+fn along_rows(plane: &[f32], columns: usize, cells: impl Fn(usize) -> f64 + Sync, out: &mut [Lines]) {
+    let blocks = plane.par_chunks(columns * LANES).zip(out.par_chunks_mut(columns)).enumerate();
+    blocks.for_each_init(Vec::new, |sums, (block, (rows, lines))| {
+        for (lane, row) in rows.chunks(columns).enumerate() {
+            for (at, v) in lines.iter_mut().zip(row) {
+                at[lane] = *v;
+            }
+        }
+        let middle = block * LANES + rows.len() / columns / 2;
+        smooth(lines, cells(middle), sums);
+    });
+}
+
+/// Adds what [`along_rows`] gave, with its columns smoothed, to `total`, which has the columns in blocks of [`LANES`].
+fn along_columns(by_rows: &[Lines], columns: usize, rows: usize, cells: f64, total: &mut [f32]) {
+    let blocks = total.par_chunks_mut(rows * LANES).enumerate();
+    blocks.for_each_init(Default::default, |(lines, sums): &mut (Vec<Lines>, Vec<_>), (block, total)| {
+        let first = block * LANES;
+        let width = LANES.min(columns - first);
+        lines.resize(rows, [0.0; LANES]);
+        for (lines, above) in lines.chunks_mut(LANES).zip(by_rows.chunks(columns)) {
+            for (lane, column) in above[first..first + width].iter().enumerate() {
+                for (line, v) in lines.iter_mut().zip(column) {
+                    line[lane] = *v;
+                }
+            }
+        }
+        smooth(lines, cells, sums);
+        for (total, v) in total.iter_mut().zip(lines.as_flattened()) {
+            *total += v;
+        }
+    });
+}
+
+/// Smooths lines by about a normal kernel of that standard deviation in cells; nothing lies beyond their ends.
+fn smooth(lines: &mut [Lines], sigma: f64, sums: &mut Vec<[f64; LANES]>) {
     // A running mean over 2 r + 1 cells, with a part f of the two next ones, has the variance of its offsets.
     let wanted = sigma * sigma / PASSES as f64;
     let variance = |r: f64, f: f64| {
@@ -109,29 +166,49 @@ fn smooth(line: &mut [f32], sigma: f64) {
         sum / (2.0 * r + 1.0 + 2.0 * f)
     };
     let mut radius = ((3.0 * wanted + 0.25).sqrt() - 0.5).floor().max(0.0);
-    radius = radius.min(line.len() as f64);
+    radius = radius.min(lines.len() as f64);
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..30 {
         let middle = 0.5 * (low + high);
         if variance(radius, middle) < wanted { low = middle } else { high = middle }
     }
-    let (part, whole) = (low, 2.0 * radius + 1.0 + 2.0 * low);
-    let radius = radius as usize;
-    let n = line.len();
-    let mut sums = vec![0.0_f64; n + 1];
-    for _ in 0..PASSES {
-        for i in 0..n {
-            sums[i + 1] = sums[i] + f64::from(line[i]);
-        }
-        let total = |from: i64, to: i64| {
-            let at = |i: i64| sums[i.clamp(0, n as i64) as usize];
-            at(to) - at(from)
-        };
-        for (i, v) in line.iter_mut().enumerate() {
-            let (from, to) = (i as i64 - radius as i64, i as i64 + radius as i64 + 1);
-            let inner = total(from, to);
-            let outer = total(from - 1, to + 1) - inner;
-            *v = ((inner + part * outer) / whole) as f32;
+    crate::instructions::chosen().dispatch(RunningMean { lines, sums, radius: radius as usize, part: low });
+}
+
+/// [`PASSES`] of a running mean over 2 `radius` + 1 cells and a part of the two next ones.
+struct RunningMean<'a> {
+    lines: &'a mut [Lines],
+    sums: &'a mut Vec<[f64; LANES]>,
+    radius: usize,
+    part: f64,
+}
+
+impl pulp::WithSimd for RunningMean<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let Self { lines, sums, radius, part } = self;
+        let n = lines.len();
+        let whole = 1.0 / (2.0 * radius as f64 + 1.0 + 2.0 * part);
+        sums.resize(n + 1, [0.0; LANES]);
+        for _ in 0..PASSES {
+            let mut sum = [0.0_f64; LANES];
+            for (after, line) in sums[1..].iter_mut().zip(lines.iter()) {
+                for l in 0..LANES {
+                    sum[l] += f64::from(line[l]);
+                }
+                *after = sum;
+            }
+            for (i, line) in lines.iter_mut().enumerate() {
+                let (to, from) = (&sums[(i + radius + 1).min(n)], &sums[i.saturating_sub(radius)]);
+                let (beyond, before) = (&sums[(i + radius + 2).min(n)], &sums[i.saturating_sub(radius + 1)]);
+                for l in 0..LANES {
+                    let inner = to[l] - from[l];
+                    let outer = beyond[l] - before[l] - inner;
+                    line[l] = ((inner + part * outer) * whole) as f32;
+                }
+            }
         }
     }
 }
@@ -153,6 +230,22 @@ mod tests {
                 let expected = 10.0 * (-k * height).exp();
                 assert!((found - expected).abs() < 0.6, "{wavelength} m at {height} m: {found} {expected}");
             }
+        }
+    }
+
+    #[test]
+    fn many_threads_that_ask_at_once_get_an_answer() {
+        let axis: Vec<f64> = (0..120).map(|i| 100.0 * f64::from(i)).collect();
+        let values: Vec<f64> = (0..120 * 120).map(|i| f64::from(i % 37)).collect();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+        for _ in 0..40 {
+            let map = GridMap::new(GridValues::F64(values.clone()), &axis, &axis, false).unwrap();
+            pool.scope(|scope| {
+                for i in 0..400 {
+                    let map = &map;
+                    scope.spawn(move |_| assert!(map.continued(i % HEIGHTS_M.len())[i].is_finite()));
+                }
+            });
         }
     }
 

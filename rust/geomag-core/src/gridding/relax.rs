@@ -2,7 +2,12 @@
 //!
 //! The stencil of the curvature reaches two rows up and down, so every third row is independent of its like: the rows of one class are relaxed by
 //! several threads at once, with the same answer for any number of them. Within a row all that is not the two nodes just relaxed is summed first,
-//! in vectors; the recursion along the row is then one product and one sum a node.
+//! in vectors; the recursion along the row then goes two nodes at a time, which wait for the two before and not for each other.
+
+// A kernel that is not inlined is not compiled for the instruction set that was chosen.
+#![allow(clippy::inline_always)]
+
+use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -24,10 +29,38 @@ pub(super) struct Level<'a> {
     weight: f64,
     /// First and one past the last node of every stretch of a row that is relaxed.
     spans: Vec<Vec<(usize, usize)>>,
-    /// Of every node: the factor of what its neighbours ask for (0 where it is held), of what it was, and what its data add.
-    nodes: [Vec<[f64; 3]>; CLASSES],
+    nodes: [Nodes; CLASSES],
     /// The surface, by classes of rows.
     surface: [Vec<f64>; CLASSES],
+}
+
+/// Of every node of a class of rows.
+struct Nodes {
+    /// The factor of what its neighbours ask for (0 where it is held),
+    factor: Vec<f64>,
+    /// the factor of what it was,
+    kept: Vec<f64>,
+    /// and what its data add.
+    pull: Vec<f64>,
+}
+
+impl Nodes {
+    fn new(count: usize) -> Self {
+        let zeros = || vec![0.0; count];
+        Self { factor: zeros(), kept: zeros(), pull: zeros() }
+    }
+
+    fn set(&mut self, place: usize, factor: f64, kept: f64, pull: f64) {
+        (self.factor[place], self.kept[place], self.pull[place]) = (factor, kept, pull);
+    }
+}
+
+/// Of the nodes of a row: what they will be but for the two before, and the factors of the one before and of the one before that.
+#[derive(Default)]
+struct Recursion {
+    own: Vec<f64>,
+    one: Vec<f64>,
+    two: Vec<f64>,
 }
 
 impl<'a> Level<'a> {
@@ -37,7 +70,7 @@ impl<'a> Level<'a> {
         let spans = (0..rows).map(|r| near.map_or(vec![(0, columns)], |n| runs(&n[r * columns..(r + 1) * columns])));
         let spans = spans.collect();
         let count = |k: usize| (rows + CLASSES - 1 - k) / CLASSES * columns;
-        let nodes = [0, 1, 2].map(|k| vec![[0.0; 3]; count(k)]);
+        let nodes = [0, 1, 2].map(|k| Nodes::new(count(k)));
         let surface = [0, 1, 2].map(|k| vec![0.0; count(k)]);
         Self { bins, columns, rows, ax: 1.0 / (aspect * aspect), weight, spans, nodes, surface }
     }
@@ -73,7 +106,7 @@ impl<'a> Level<'a> {
                 let bin = &self.bins[r * columns + c];
                 let place = r / CLASSES * columns + c;
                 if bin.count == 0 {
-                    self.nodes[r % CLASSES][place] = [RELAXATION / centre, 1.0 - RELAXATION, 0.0];
+                    self.nodes[r % CLASSES].set(place, RELAXATION / centre, 1.0 - RELAXATION, 0.0);
                     continue;
                 }
                 let (c0, c1) = (c.saturating_sub(1), (c + 1).min(columns - 1));
@@ -82,14 +115,12 @@ impl<'a> Level<'a> {
                 let gy = slope(self.row(r0)[c], self.row(r1)[c], r1 - r0);
                 let target = bin.value - bin.away[0] * gx - bin.away[1] * gy;
                 let held = self.weight * f64::from(bin.count);
-                self.nodes[r % CLASSES][place] = if held.is_infinite() {
-                    [0.0, 1.0, 0.0]
+                if held.is_infinite() {
+                    self.nodes[r % CLASSES].set(place, 0.0, 1.0, 0.0);
+                    self.surface[r % CLASSES][place] = target;
                 } else {
                     let factor = RELAXATION / (centre + held);
-                    [factor, 1.0 - RELAXATION, factor * held * target]
-                };
-                if held.is_infinite() {
-                    self.surface[r % CLASSES][place] = target;
+                    self.nodes[r % CLASSES].set(place, factor, 1.0 - RELAXATION, factor * held * target);
                 }
             }
         }
@@ -100,59 +131,34 @@ impl<'a> Level<'a> {
         for class in 0..CLASSES {
             let mut own = std::mem::take(&mut self.surface[class]);
             let (level, columns) = (&*self, self.columns);
-            own.par_chunks_mut(columns).zip(level.nodes[class].par_chunks(columns)).enumerate().for_each_init(
-                || vec![[0.0; 3]; columns],
-                |scratch, (k, (row, nodes))| level.relax(k * CLASSES + class, row, nodes, scratch),
-            );
+            own.par_chunks_mut(columns).enumerate().for_each_init(Recursion::default, |recursion, (k, row)| {
+                level.relax(k * CLASSES + class, row, recursion);
+            });
             self.surface[class] = own;
         }
     }
 
     /// Relaxes row `r`, which is `row`; the rows of other classes are read.
-    fn relax(&self, r: usize, row: &mut [f64], nodes: &[[f64; 3]], scratch: &mut [[f64; 3]]) {
+    fn relax(&self, r: usize, row: &mut [f64], recursion: &mut Recursion) {
         let inner_row = r >= 2 && r + 2 < self.rows;
         for &(start, end) in &self.spans[r] {
             let low = if inner_row { start.max(2).min(end) } else { end };
             let high = if inner_row { end.min(self.columns.saturating_sub(2)).max(low) } else { end };
-            for (c, node) in (start..low).zip(&nodes[start..low]) {
-                self.border(r, c, row, node);
+            for c in start..low {
+                self.border(r, c, row);
             }
             if low < high {
-                self.inner(r, low, high, row, nodes, scratch);
+                let inner = Inner { level: self, r, span: low..high, row, recursion };
+                crate::instructions::chosen().dispatch(inner);
             }
-            for (c, node) in (high..end).zip(&nodes[high..end]) {
-                self.border(r, c, row, node);
+            for c in high..end {
+                self.border(r, c, row);
             }
-        }
-    }
-
-    /// Nodes of which all neighbours exist.
-    fn inner(&self, r: usize, low: usize, high: usize, row: &mut [f64], nodes: &[[f64; 3]], scratch: &mut [[f64; 3]]) {
-        let ax = self.ax;
-        let (across, along) = (4.0 * ax * ax + 4.0 * ax, 4.0 + 4.0 * ax);
-        let (from, to) = (low - 2, high + 2);
-        let cut = |r: usize| &self.row(r)[from..to];
-        let (down2, down, up, up2) = (cut(r - 2), cut(r - 1), cut(r + 1), cut(r + 2));
-        let old = &row[from..to];
-        let n = high - low;
-        for i in 0..n {
-            let k = i + 2;
-            let [factor, kept, pull] = nodes[low + i];
-            let rest = across * old[k + 1] - ax * ax * old[k + 2] + along * (down[k] + up[k])
-                - 2.0 * ax * (down[k - 1] + down[k + 1] + up[k - 1] + up[k + 1])
-                - (down2[k] + up2[k]);
-            scratch[i] = [kept * old[k] + pull + factor * rest, factor * across, -factor * ax * ax];
-        }
-        let (mut before, mut last) = (row[low - 2], row[low - 1]);
-        for (value, [own, one, two]) in row[low..high].iter_mut().zip(&scratch[..n]) {
-            let new = (own + two * before) + one * last;
-            (before, last) = (last, new);
-            *value = new;
         }
     }
 
     /// The border is soft: harmonic, from the neighbours that there are.
-    fn border(&self, r: usize, c: usize, row: &mut [f64], node: &[f64; 3]) {
+    fn border(&self, r: usize, c: usize, row: &mut [f64]) {
         let (mut sum, mut weight) = (0.0, 0.0);
         let mut add = |v: f64, w: f64| {
             sum += w * v;
@@ -171,8 +177,61 @@ impl<'a> Level<'a> {
             add(self.row(r + 1)[c], 1.0);
         }
         let free = if weight > 0.0 { sum / weight } else { row[c] };
-        let [factor, kept, pull] = *node;
-        row[c] = kept * row[c] + pull + factor * self.centre() * free;
+        let (nodes, place) = (&self.nodes[r % CLASSES], r / CLASSES * self.columns + c);
+        row[c] = nodes.kept[place] * row[c] + nodes.pull[place] + nodes.factor[place] * self.centre() * free;
+    }
+}
+
+/// The nodes `span` of row `r`, which is `row`: of all of them all neighbours exist.
+struct Inner<'a, 'b> {
+    level: &'a Level<'b>,
+    r: usize,
+    span: Range<usize>,
+    row: &'a mut [f64],
+    recursion: &'a mut Recursion,
+}
+
+impl pulp::WithSimd for Inner<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let Self { level, r, span, row, recursion } = self;
+        let (ax, n) = (level.ax, span.len());
+        let (across, along) = (4.0 * ax * ax + 4.0 * ax, 4.0 + 4.0 * ax);
+        let (from, to) = (span.start - 2, span.end + 2);
+        let cut = |r: usize| &level.row(r)[from..to];
+        let (down2, down, up, up2) = (cut(r - 2), cut(r - 1), cut(r + 1), cut(r + 2));
+        let old = &row[from..to];
+        let first = r / CLASSES * level.columns + span.start;
+        let nodes = &level.nodes[r % CLASSES];
+        let [factor, kept, pull] = [&nodes.factor, &nodes.kept, &nodes.pull].map(|all| &all[first..first + n]);
+        let Recursion { own, one, two } = recursion;
+        for some in [&mut *own, &mut *one, &mut *two] {
+            some.resize(level.columns, 0.0);
+        }
+        let (own, one, two) = (&mut own[..n], &mut one[..n], &mut two[..n]);
+        for i in 0..n {
+            let k = i + 2;
+            let rest = across * old[k + 1] - ax * ax * old[k + 2] + along * (down[k] + up[k])
+                - 2.0 * ax * (down[k - 1] + down[k + 1] + up[k - 1] + up[k + 1])
+                - (down2[k] + up2[k]);
+            own[i] = kept[i] * old[k] + pull[i] + factor[i] * rest;
+            one[i] = factor[i] * across;
+            two[i] = -factor[i] * ax * ax;
+        }
+        let (mut before, mut last) = (row[span.start - 2], row[span.start - 1]);
+        let row = &mut row[span];
+        let pairs = row.chunks_exact_mut(2).zip(own.chunks_exact(2)).zip(one.chunks_exact(2)).zip(two.chunks_exact(2));
+        for (((row, own), one), two) in pairs {
+            let next = (own[0] + two[0] * before) + one[0] * last;
+            let after = ((own[1] + one[1] * own[0]) + one[1] * two[0] * before) + (two[1] + one[1] * one[0]) * last;
+            (row[0], row[1]) = (next, after);
+            (before, last) = (next, after);
+        }
+        if n % 2 == 1 {
+            row[n - 1] = (own[n - 1] + two[n - 1] * before) + one[n - 1] * last;
+        }
     }
 }
 
