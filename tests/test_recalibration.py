@@ -140,12 +140,13 @@ def test_the_line_is_learnt_at_the_correlation_that_is_flown_from_all_windows(su
     one = trials.Trials(parts, Law(0.1, 300.0, 200.0), (0.1, 0.1, 0.1), settings, independent, rng, Steps(None, 9.0))
     asked = []
 
-    def answered(self, point, correlation, tracks, offsets):
+    def answered(self, point, correlation, tracks, offsets, folds=None):
         """Answers whose risks want an intercept of minus the correlation, a thousand a fold."""
         asked.append((correlation, sum(map(len, tracks)), [o.shape for o in offsets]))
-        computed = rng.normal(0, 2, 2000)
-        wrong = rng.random(2000) < 1 / (1 + np.exp(correlation - computed))
-        return trials.Outcome(1 / (1 + np.exp(-computed)), 0.0 * computed, wrong, np.ones(2000, dtype=bool))
+        computed = rng.normal(0, 2, (len(tracks), 1000))
+        wrong = rng.random(computed.shape) < 1 / (1 + np.exp(correlation - computed))
+        stated = np.ones(1000, dtype=bool)
+        return [trials.Outcome(1 / (1 + np.exp(-c)), 0.0 * c, w, stated) for c, w in zip(computed, wrong, strict=True)]
 
     monkeypatch.setattr(trials.Trials, "_answered", answered)
     point = trials.Point()
@@ -159,6 +160,34 @@ def test_the_line_is_learnt_at_the_correlation_that_is_flown_from_all_windows(su
     assert aside > 4 * total
     assert asked == [(point.correlation, total, shapes), (0.5, total, shapes), (0.5, aside, others)]
     assert chosen.risk.size == 4000
+
+
+def test_a_model_that_half_of_the_folds_deny_is_tried_no_further(survey_parts, monkeypatch):
+    monkeypatch.setattr(trials, "WINDOWS_TO_HALVE", 20)
+    parts, settings = survey_parts
+    rng = np.random.default_rng(3)
+    trials.flown(parts, settings, rng)
+    one = trials.Trials(parts, Law(0.1, 300.0, 200.0), (0.1, 0.1, 0.1), settings, 1.0, rng, Steps(None, 9.0))
+    asked = []
+
+    def answered(self, point, correlation, tracks, offsets, folds=None):
+        """Answers that are the better the nearer the correlation is to 2."""
+        asked.extend((point, k) for k in folds)
+        away = abs(np.log(correlation / 2.0))
+        wrong = np.arange(200) < 10
+        risk = np.where(wrong, 1 / (1 + away), 0.02 + 0.3 * away)
+        return [trials.Outcome(risk, 300.0 * wrong, wrong, np.ones(200, dtype=bool)) for _ in folds]
+
+    monkeypatch.setattr(trials.Trials, "_answered", answered)
+    best, correlation = one.search()
+    assert best.correlation == pytest.approx(2.0, rel=0.13)
+    assert correlation == pytest.approx(2.0, rel=0.13)
+    assert len(asked) == len(set(asked))
+    tried = {point: {k for other, k in asked if other == point} for point, _ in asked}
+    assert {frozenset(folds) for folds in tried.values()} == {frozenset({0}), frozenset({0, 1})}
+    assert tried[best] == {0, 1}
+    # Those that no fold of the other half has seen are among the neighbours of the best.
+    assert all(point in one.half and point not in one.seen for point, folds in tried.items() if folds == {0})
 
 
 def test_both_rules_of_declaration():

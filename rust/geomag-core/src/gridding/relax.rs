@@ -57,7 +57,7 @@ impl Nodes {
 
 /// Of the nodes of a row: what they will be but for the two before, and the factors of the one before and of the one before that.
 #[derive(Default)]
-struct Recursion {
+struct RowRecursion {
     own: Vec<f64>,
     one: Vec<f64>,
     two: Vec<f64>,
@@ -131,7 +131,7 @@ impl<'a> Level<'a> {
         for class in 0..CLASSES {
             let mut own = std::mem::take(&mut self.surface[class]);
             let (level, columns) = (&*self, self.columns);
-            own.par_chunks_mut(columns).enumerate().for_each_init(Recursion::default, |recursion, (k, row)| {
+            own.par_chunks_mut(columns).enumerate().for_each_init(RowRecursion::default, |recursion, (k, row)| {
                 level.relax(k * CLASSES + class, row, recursion);
             });
             self.surface[class] = own;
@@ -139,7 +139,7 @@ impl<'a> Level<'a> {
     }
 
     /// Relaxes row `r`, which is `row`; the rows of other classes are read.
-    fn relax(&self, r: usize, row: &mut [f64], recursion: &mut Recursion) {
+    fn relax(&self, r: usize, row: &mut [f64], recursion: &mut RowRecursion) {
         let inner_row = r >= 2 && r + 2 < self.rows;
         for &(start, end) in &self.spans[r] {
             let low = if inner_row { start.max(2).min(end) } else { end };
@@ -188,7 +188,7 @@ struct Inner<'a, 'b> {
     r: usize,
     span: Range<usize>,
     row: &'a mut [f64],
-    recursion: &'a mut Recursion,
+    recursion: &'a mut RowRecursion,
 }
 
 impl pulp::WithSimd for Inner<'_, '_> {
@@ -206,7 +206,7 @@ impl pulp::WithSimd for Inner<'_, '_> {
         let first = r / CLASSES * level.columns + span.start;
         let nodes = &level.nodes[r % CLASSES];
         let [factor, kept, pull] = [&nodes.factor, &nodes.kept, &nodes.pull].map(|all| &all[first..first + n]);
-        let Recursion { own, one, two } = recursion;
+        let RowRecursion { own, one, two } = recursion;
         for some in [&mut *own, &mut *one, &mut *two] {
             some.resize(level.columns, 0.0);
         }
