@@ -186,8 +186,23 @@ def test_a_model_that_half_of_the_folds_deny_is_tried_no_further(survey_parts, m
     tried = {point: {k for other, k in asked if other == point} for point, _ in asked}
     assert {frozenset(folds) for folds in tried.values()} == {frozenset({0}), frozenset({0, 1})}
     assert tried[best] == {0, 1}
-    # Those that no fold of the other half has seen are among the neighbours of the best.
+    # What one half denied has no total of all folds.
     assert all(point in one.half and point not in one.seen for point, folds in tried.items() if folds == {0})
+
+
+@pytest.mark.parametrize("left_out", [slice(0, 1), slice(0, 0)])
+def test_half_of_the_folds_denies_nothing_where_it_has_no_windows(survey_parts, monkeypatch, left_out):
+    monkeypatch.setattr(trials, "WINDOWS_TO_HALVE", 20)
+    parts, settings = survey_parts
+    rng = np.random.default_rng(3)
+    trials.flown(parts, settings, rng)
+    for part in parts[left_out]:
+        part.windows = []
+    # Flights make one fold, a survey whose first lines the maps do not cover has folds without windows.
+    parts = parts if parts[left_out] else parts[1:]
+    one = trials.Trials(parts, Law(0.1, 300.0, 200.0), (0.1, 0.1, 0.1), settings, 1.0, rng, Steps(None, 9.0))
+    assert one.at(one.search()[0]).risk.size > 0
+    assert not one.half
 
 
 def test_both_rules_of_declaration():

@@ -53,7 +53,7 @@ def learn_errors(
     A `folds`-th of the lines is left out at a time (neighbouring lines in different folds; six folds where there are lines enough), the others are
     gridded, and the left-out lines are compared with that map: sample by sample for the size of the errors and for where they are larger or smaller, window
     by window for the correlation and the line in log-odds by which risks are then to be read, those whose declared risks have the least log loss (models
-    are tried on up to 800 windows, the line of the chosen one is learnt from up to 4,000), and on
+    are tried on up to 800 windows, and on no more than those of half of the folds where they do worse there; the line of the chosen one is learnt from up to 4,000), and on
     growing parts of windows for how often short tracks are wrong whatever their risk says. Nothing is tuned by hand and nothing but the lines goes in.
 
     `spacing_m` (metres between samples), `half_width_m` (bound of the start error per axis), `tolerance_m` and `samples` are those that will be flown: what is learnt

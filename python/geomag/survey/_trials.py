@@ -24,7 +24,7 @@ MOST_STARTS = 3
 #: Windows that the line in log-odds of the chosen model is learnt from, where the lines give so many: a slope from 800 is known to a tenth, which at a risk of
 #: 1 % is a factor of one and a half.
 MOST_LINE_WINDOWS = 4000
-#: Windows from which a model is tried on half of the folds first, and no further where it is worse there.
+#: Windows, half of them in half of the folds, from which a model is tried on those folds first, and no further where it is worse there.
 WINDOWS_TO_HALVE = 400
 #: Risks are counted as at least this: so many windows tell nothing of lesser ones.
 LEAST_RISK = 0.002
@@ -230,12 +230,14 @@ class Trials:
 
     def better(self, there: Point, here: Point) -> bool:
         """Whether one error model has less loss than another, which half of the folds may be enough to deny."""
-        halved = sum(map(len, self._tracks)) >= WINDOWS_TO_HALVE and there not in self.seen
+        in_half = sum(map(len, self._tracks[: len(self.parts) // 2]))
+        halved = 2 * in_half >= WINDOWS_TO_HALVE and there not in self.seen
         if halved and self.at_half(there).total >= self.at_half(here).total:
             return False
         return self.at(there).total < self.at(here).total
 
     def _tried(self, point: Point, folds: range) -> Outcome:
+        """What comes of the windows of some folds, each of which is matched once."""
         missing = [k for k in folds if (point, k) not in self._answers]
         if missing:
             tracks, offsets = [self._tracks[k] for k in missing], [self._offsets[k] for k in missing]
@@ -261,8 +263,6 @@ class Trials:
 
     def _within(self, limit: float, line: tuple[float, float]) -> list[list[int]]:
         """The windows of every fold to which the chosen model's answer is a statement at a risk of at most so much."""
-        if not self.whole:
-            return [list(range(len(some))) for some in self._tracks]
         return [list(np.flatnonzero(one.stated & (recalibrated(one.risk, line) <= limit))) for one in self.whole]
 
     def _lined(self, outcomes: list[Outcome]) -> Outcome:
@@ -285,13 +285,7 @@ class Trials:
 
         def answers(part: tuple[tuple[GridMap, Array], list[Track], Array]) -> Outcome:
             (grid, distance), some, true = part
-            model = grid.with_error_model(
-                nu=NU,
-                scale_spread=LEARNT_SPREAD,
-                correlation=correlation,
-                registration=REGISTRATION,
-                distance_m=distance,
-            )
+            model = modelled(grid, distance, correlation)
             # What the tests of misfit refuse is learnt afterwards, from what they find under the model that is chosen.
             fixes = match_posterior_many(
                 model,
@@ -402,15 +396,7 @@ class Trials:
                 some = part.windows[:: max(1, round(1 / keep))]
                 if not some:
                     continue
-                model = grid.with_error_model(
-                    nu=NU,
-                    scale_spread=LEARNT_SPREAD,
-                    correlation=correlation,
-                    registration=REGISTRATION,
-                    distance_m=distance,
-                    recalibration=line,
-                    forecast=(level, 1.0),
-                )
+                model = modelled(grid, distance, correlation, line, (level, 1.0))
                 tracks = [Track(x, y, v) for x, y, v in some]
                 found += predict_many(
                     model,
@@ -448,14 +434,7 @@ class Trials:
         ):
             if not some:
                 continue
-            model = grid.with_error_model(
-                nu=NU,
-                scale_spread=LEARNT_SPREAD,
-                correlation=correlation,
-                registration=REGISTRATION,
-                distance_m=distance,
-                recalibration=line,
-            )
+            model = modelled(grid, distance, correlation, line)
             fixes = match_posterior_many(
                 model,
                 [tracks[i] for i in some],
@@ -478,6 +457,25 @@ class Trials:
 def correlation_at(step: float) -> float:
     """Correlation length of a place on the ladder."""
     return float(FIRST_CORRELATION * CORRELATION_STEP**step)
+
+
+def modelled(
+    grid: GridMap,
+    distance: Array,
+    correlation: float,
+    line: tuple[float, float] | None = None,
+    forecast: tuple[float, float] | None = None,
+) -> GridMap:
+    """A map of some of the lines with the error model that is tried on it."""
+    return grid.with_error_model(
+        nu=NU,
+        scale_spread=LEARNT_SPREAD,
+        correlation=correlation,
+        registration=REGISTRATION,
+        distance_m=distance,
+        recalibration=line,
+        forecast=forecast,
+    )
 
 
 def layered(

@@ -103,17 +103,19 @@ impl GridMap {
 ///
 /// A thread that waits for its share to be done takes up other work of its pool, which may ask for what it is itself just making, and
 /// would wait for ever.
-fn apart<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    let threads = rayon::current_num_threads();
-    let done = std::thread::scope(|scope| {
-        let with_pool = || match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
-            Ok(pool) => pool.install(work),
-            // The system grants no more threads.
-            Err(_) => work(),
-        };
-        scope.spawn(with_pool).join()
+fn apart<T: Send>(work: impl Fn() -> T + Sync) -> T {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(rayon::current_num_threads()).build().ok();
+    let done = pool.and_then(|pool| {
+        std::thread::scope(|scope| {
+            let waiting = std::thread::Builder::new().spawn_scoped(scope, || pool.install(&work)).ok()?;
+            Some(waiting.join())
+        })
     });
-    done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    match done {
+        Some(done) => done.unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+        // The system grants no more threads.
+        None => work(),
+    }
 }
 
 /// Lines that are smoothed side by side.
