@@ -206,7 +206,7 @@ MAIN = geomag.mainfield.load("igrf14").model
 
 #: Of the extension, without a name that users see: called by what is called here, or by campaigns, which start processes.
 INSIDE = {
-    "_delta_modulation", "_displacements_m", "_distance_to_data", "_minimum_curvature", "_navigate", "_radii_m", "bound_block", "bound_reach",
+    "_delta_modulation", "_displacements_m", "_distances_to_data", "_minimum_curvature", "_navigate", "_radii_m", "bound_block", "bound_reach",
     "campaign_flight", "campaign_rows", "draw_ins_error", "fly", "tolles_lawson_terms",
 }  # fmt: skip
 

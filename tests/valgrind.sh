@@ -8,7 +8,7 @@ command -v valgrind >/dev/null || { echo "needed: valgrind" >&2; exit 1; }
 log=$(mktemp)
 # The interpreter's own allocator takes memory apart behind valgrind's back.
 PYTHONMALLOC=malloc OPENBLAS_NUM_THREADS=1 RAYON_NUM_THREADS=2 valgrind --tool=memcheck --leak-check=no --num-callers=30 --log-file="$log" \
-    --error-limit=no --suppressions=tests/valgrind.supp "$python" tests/valgrind_calls.py
+    --error-limit=no "$python" tests/valgrind_calls.py
 # A report is the extension's where the innermost frame is; those of the interpreter and of NumPy are not ours to mend.
 if grep -qE "  at 0x.*_geomag\.abi3" "$log"; then
     grep -E -B2 -A8 "  at 0x.*_geomag\.abi3" "$log" | head -80

@@ -1524,14 +1524,14 @@ def _minimum_curvature(
     sweeps: int = 120,
     progress: _Progress = None,
 ) -> _Floats: ...
-def _distance_to_data(
+def _distances_to_data(
     x: ArrayLike,
     y: ArrayLike,
     x_axis: tuple[float, float, int],
     y_axis: tuple[float, float, int],
     *,
     cell_m: tuple[float, float],
-) -> _Floats: ...
+) -> tuple[_Floats, _Floats]: ...
 
 @final
 class MainFieldModel:

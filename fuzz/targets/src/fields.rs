@@ -4,7 +4,7 @@ use geomag_core::compensation::{Compensator, TERMS, rates, terms};
 use geomag_core::field::Field;
 use geomag_core::frame::{Earth, LocalFrame, displacement_m, metres_per_degree, wrap_longitude};
 use geomag_core::grid::Axis;
-use geomag_core::gridding::{distance_to_data, minimum_curvature};
+use geomag_core::gridding::{distances_to_data, minimum_curvature};
 use geomag_core::harmonic::{
     FitOptions, HarmonicMap, Observations, Period, Positions, Prior, Quantity, RectangularHarmonicModel,
     Regularisation, fit,
@@ -153,8 +153,10 @@ pub fn gridding(data: &[u8]) {
         let largest = values.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         assert!(largest > 1e100 || surface.iter().all(|v| v.is_finite()), "{surface:?}");
     }
-    if let Ok(distance) = distance_to_data(&x, &y, &columns, &rows, [s.number(1.0, 500.0), s.number(1.0, 500.0)]) {
-        assert!(distance.iter().all(|d| *d >= 0.0), "{distance:?}");
+    if let Ok(found) = distances_to_data(&x, &y, &columns, &rows, [s.number(1.0, 500.0), s.number(1.0, 500.0)]) {
+        let rounded = |d: &f64| 1e-9 * (1.0 + d);
+        let good = |(d, e): (&f64, &f64)| *d >= 0.0 && (d - rounded(d)..=2.0 * d + rounded(d)).contains(e);
+        assert!(found.nearest.iter().zip(&found.either_side).all(good), "{found:?}");
     }
     let (height, width) = (2 + s.below(5), 2 + s.below(5));
     let (values, first) = (s.numbers(height * width, -50.0, 50.0), s.number(-80.0, 80.0));

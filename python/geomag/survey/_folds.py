@@ -50,10 +50,10 @@ class Fold:
     ) -> Fold:
         """Grid `lines`, and keep what of `windows` is on that map."""
         reach = REACH * spacing_m
-        surface, distance = grid_lines(lines, axes, method, weight, reach, progress)
-        surface = np.where(distance <= reach, surface, np.nan)
+        surface, distances = grid_lines(lines, axes, method, weight, reach, progress)
+        surface = np.where(distances.nearest <= reach, surface, np.nan)
         base = GridMap(surface, *axes.coordinates(), geographic=lines[0].geographic)
-        fold = Fold(lines, left, axes, base, distance, [])
+        fold = Fold(lines, left, axes, base, distances.either_side, [])
         fold.windows = fold.covered(windows)
         return fold
 

@@ -75,8 +75,8 @@ class Drape:
     def _slope(self, lines: list[Lines], weight: float) -> GridMap:
         """Change of the field with height, upward, on the surface, of waves that a straight line may follow."""
         reach = 4.0 * self.spacing_m
-        surface, distance = grid_lines(lines, self.axes, self.method, weight, reach)
-        values = np.where(distance <= reach, surface, np.nan)
+        surface, distances = grid_lines(lines, self.axes, self.method, weight, reach)
+        values = np.where(distances.nearest <= reach, surface, np.nan)
         waves = Waves(values, self.axes.cell_m, "mirrored")
         # Waves shorter than the gaps are made up between lines; they are let go.
         short = np.exp(-0.5 * (waves.k * self.spacing_m / np.pi) ** 2)

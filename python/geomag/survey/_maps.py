@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack, overload
 import numpy as np
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import GridMap, MapStack, _distance_to_data
+from geomag._geomag import GridMap, MapStack
 from geomag._ranges import above
 from geomag.continuation import continue_to
 from geomag.survey._folds import REACH
@@ -18,7 +18,7 @@ from geomag.survey._learn import learn_errors
 from geomag.survey._lines import Array, Lines
 from geomag.survey._model import ErrorModel, Law, sigma_of
 from geomag.survey._steps import Progress, Steps
-from geomag.survey._surface import Axes, features, grid_lines, weight_of
+from geomag.survey._surface import Axes, Distances, features, grid_lines, weight_of
 from geomag.survey._survey import WINDOW
 from geomag.survey._trials import layered
 
@@ -41,8 +41,8 @@ def with_errors(grid: GridMap, lines: Lines | None, model: ErrorModel) -> GridMa
     axes = Axes.of(grid)
     values = np.asarray(grid.values, dtype=float)
     if lines is not None:
-        distance = _distance_to_data(lines.x, lines.y, axes.x, axes.y, cell_m=axes.cell_m)
-        values = np.where(distance <= REACH * model.line_spacing_m, values, np.nan)
+        nearest, distance = Distances.of(lines.x, lines.y, axes)
+        values = np.where(nearest <= REACH * model.line_spacing_m, values, np.nan)
     elif model.distance_m is not None:
         distance = np.where(np.isfinite(values), model.distance_m, np.nan)
     else:
@@ -228,12 +228,12 @@ def map_from_lines(
         steps = Steps(progress, 1.0)
         drape = None if height_m is None else Drape.under(lines, axes, method)
         flown = [lines] if drape is None else drape.brought([lines], [], weight)[0]
-        surface, distance = grid_lines(
+        surface, distances = grid_lines(
             flown, axes, method, weight, reach + 1.5 * model.line_spacing_m, steps.within(1.0)
         )
         xs, ys = axes.coordinates()
         grid = GridMap(
-            np.where(distance <= reach, surface, np.nan),
+            np.where(distances.nearest <= reach, surface, np.nan),
             xs,
             ys,
             geographic=lines.geographic,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from geomag._errors import InvalidInputError
-from geomag._geomag import GridMap, _distance_to_data, _minimum_curvature
+from geomag._geomag import GridMap, _distances_to_data, _minimum_curvature
 from geomag._optional import require
 from geomag.survey._lines import Array, Lines
 
@@ -69,6 +69,22 @@ class Axes:
         return x, y
 
 
+class Distances(NamedTuple):
+    """From every node to the data, metres: to the nearest datum; to those on either side, the harmonic mean of that and of the distance to the nearest on the other side.
+
+    The first says where a map has a meaning, the second by how much it errs: what is interpolated between two lines errs by less than what is carried on beyond
+    one, and the lines that errors are learnt from lie in wider gaps than those that are flown.
+    """
+
+    nearest: Array
+    either_side: Array
+
+    @staticmethod
+    def of(x: Array, y: Array, axes: Axes) -> Distances:
+        """Those of the nodes of a map to some points."""
+        return Distances(*_distances_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m))
+
+
 def grid_lines(
     lines: list[Lines],
     axes: Axes,
@@ -76,20 +92,20 @@ def grid_lines(
     weight: float = np.inf,
     reach_m: float = np.inf,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Distances]:
     """Values and distances to the data at the nodes; a finite `weight` of each datum lets the surface miss it.
 
     Nodes further than `reach_m` from any datum are not worked out: their values have no meaning.
     """
     x, y, values = (np.concatenate([getattr(one, name) for one in lines]) for name in ("x", "y", "values"))
-    distance = _distance_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m)
+    distances = Distances.of(x, y, axes)
     if method == "minimum_curvature":
         aspect = axes.cell_m[0] / axes.cell_m[1]
         reach = reach_m / axes.cell_m[1]
         surface = _minimum_curvature(
             x, y, values, axes.x, axes.y, aspect=aspect, weight=weight, reach=reach, progress=progress
         )
-        return surface, distance
+        return surface, distances
     if method not in ("linear", "cubic"):
         raise InvalidInputError(f"method: needed 'minimum_curvature', 'linear' or 'cubic', got '{method}'")
     interpolate = require("scipy.interpolate", "survey", f"gridding by method '{method}'")
@@ -103,7 +119,7 @@ def grid_lines(
     means = np.bincount(inverse, values) / count
     kind = interpolate.LinearNDInterpolator if method == "linear" else interpolate.CloughTocher2DInterpolator
     xs, ys = axes.coordinates()
-    return np.asarray(kind(points, means)(*np.meshgrid(xs * scale[0], ys * scale[1])), dtype=float), distance
+    return np.asarray(kind(points, means)(*np.meshgrid(xs * scale[0], ys * scale[1])), dtype=float), distances
 
 
 def weight_of(lines: Lines, axes: Axes, smoothing_m: float, spacing_m: float) -> float:

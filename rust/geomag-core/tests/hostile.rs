@@ -6,7 +6,7 @@ use std::sync::Arc;
 use geomag_core::error::Error;
 use geomag_core::frame::{Earth, LocalFrame};
 use geomag_core::grid::{Axis, GridMap, GridValues};
-use geomag_core::gridding::{distance_to_data, minimum_curvature};
+use geomag_core::gridding::{distances_to_data, minimum_curvature};
 use geomag_core::kalman::ExtendedKalmanFilter;
 use geomag_core::map_error::{DistanceLayer, MapErrorModel};
 use geomag_core::matching::contour::{ContourOptions, match_contour};
@@ -55,7 +55,7 @@ fn blanks_among_values_are_refused_at_every_door() {
 #[test]
 fn lengths_and_scales_longer_than_the_earth_are_refused() {
     let (x, y) = ([50.0], [50.0]);
-    refused(distance_to_data(&x, &y, &axis(), &axis(), [f64::INFINITY, 1.0]), "cell_m east");
+    refused(distances_to_data(&x, &y, &axis(), &axis(), [f64::INFINITY, 1.0]), "cell_m east");
     refused(map().with_ground_scale(Some(vec![[1e-320, 1.0]; 12])), "ground_scale, row 0");
     let wide = MapErrorModel {
         nu: 3.0,

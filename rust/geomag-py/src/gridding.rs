@@ -1,7 +1,7 @@
 //! Survey points to grids.
 
 use geomag_core::grid::Axis;
-use geomag_core::gridding::{distance_to_data, minimum_curvature};
+use geomag_core::gridding::{distances_to_data, minimum_curvature};
 use pyo3::prelude::*;
 
 use crate::arrays::{shaped, vector};
@@ -34,19 +34,21 @@ pub fn py_minimum_curvature<'py>(
     shaped(py, out, &[ys.len(), xs.len()])
 }
 
-/// Distance in metres (rows, columns) from every node to the nearest point.
+/// Distances in metres (rows, columns) from every node: to the nearest point, and to the points on either side, the harmonic mean of that and of the distance to the
+/// nearest on the other side (twice the first where there is none).
 #[pyfunction]
-#[pyo3(name = "_distance_to_data", signature = (x, y, x_axis, y_axis, *, cell_m))]
-pub fn py_distance_to_data<'py>(
+#[pyo3(name = "_distances_to_data", signature = (x, y, x_axis, y_axis, *, cell_m))]
+pub fn py_distances_to_data<'py>(
     py: Python<'py>,
     x: &Bound<'_, PyAny>,
     y: &Bound<'_, PyAny>,
     x_axis: (f64, f64, usize),
     y_axis: (f64, f64, usize),
     cell_m: (f64, f64),
-) -> PyRes<Bound<'py, PyAny>> {
+) -> PyRes<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
     let (x, y) = (vector("x", x)?, vector("y", y)?);
     let (xs, ys) = (Axis::new(x_axis.0, x_axis.1, x_axis.2)?, Axis::new(y_axis.0, y_axis.1, y_axis.2)?);
-    let out = crate::pool::detached(py, || distance_to_data(&x, &y, &xs, &ys, cell_m.into()))?;
-    shaped(py, out, &[ys.len(), xs.len()])
+    let out = crate::pool::detached(py, || distances_to_data(&x, &y, &xs, &ys, cell_m.into()))?;
+    let shape = [ys.len(), xs.len()];
+    Ok((shaped(py, out.nearest, &shape)?, shaped(py, out.either_side, &shape)?))
 }

@@ -68,7 +68,7 @@ mod _geomag {
     #[pymodule_export]
     use crate::grid_search::py_match_grid;
     #[pymodule_export]
-    use crate::gridding::{py_distance_to_data, py_minimum_curvature};
+    use crate::gridding::{py_distances_to_data, py_minimum_curvature};
     #[pymodule_export]
     use crate::harmonic::{PyFieldObservations, PyHarmonicMap, PyHarmonicModel};
     #[pymodule_export]

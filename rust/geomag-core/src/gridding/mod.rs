@@ -1,4 +1,4 @@
-//! From survey points to a grid: minimum curvature, and the distance to the nearest datum.
+//! From survey points to a grid: minimum curvature, and the distances to the data.
 //!
 //! Lines are far apart and densely sampled. A linear interpolation across the gaps doubles every oblique feature, and a
 //! matcher then finds the wrong double; the surface of least curvature through the data (Briggs, Machine contouring using minimum
@@ -8,7 +8,7 @@
 mod distance;
 mod relax;
 
-pub use distance::distance_to_data;
+pub use distance::{Distances, distances_to_data};
 use relax::Level;
 
 use crate::error::{Error, Result, require_finite};
@@ -28,7 +28,7 @@ const LEAST_ASPECT: f64 = 1e-6;
 /// the node along the surface's gradient; all others are relaxed until the surface between them has least curvature
 /// (`sweeps` sweeps of over-relaxation a level; 100 are plenty). That is a `weight` of infinity; a finite one lets the surface miss
 /// its data, so that `weight` times the misses squared and the squared curvature (per cell height) together are least: a
-/// smoothing spline. Nodes far from any datum have no meaning; mask them with [`distance_to_data`]. Those further than `reach`
+/// smoothing spline. Nodes far from any datum have no meaning; mask them with [`distances_to_data`]. Those further than `reach`
 /// (cell heights) keep what the coarsest level says.
 ///
 /// # Errors
@@ -247,13 +247,14 @@ mod tests {
         let (ax, ay) = (Axis::new(0.0, 1.0, 17).unwrap(), Axis::new(0.0, 1.0, 11).unwrap());
         let x = [2.0, 9.0, 15.0, 4.0];
         let y = [1.0, 8.0, 2.0, 10.0];
-        let got = distance_to_data(&x, &y, &ax, &ay, [2.0, 3.0]).unwrap();
+        let Distances { nearest: got, either_side } = distances_to_data(&x, &y, &ax, &ay, [2.0, 3.0]).unwrap();
         for r in 0..11 {
             for c in 0..17 {
                 let best = (0..4)
                     .map(|k| ((c as f64 - x[k]) * 2.0).hypot((r as f64 - y[k]) * 3.0))
                     .fold(f64::INFINITY, f64::min);
                 assert!((got[r * 17 + c] - best).abs() < 1e-9);
+                assert!((best - 1e-9..=2.0 * best + 1e-9).contains(&either_side[r * 17 + c]));
             }
         }
     }
@@ -265,6 +266,37 @@ mod tests {
             minimum_curvature([&[90.0], &[90.0], &[1.0]], &axis, &axis, 1.0, f64::INFINITY, f64::INFINITY, 10, &Quiet)
                 .is_err()
         );
-        assert!(distance_to_data(&[90.0], &[90.0], &axis, &axis, [1.0, 1.0]).is_err());
+        assert!(distances_to_data(&[90.0], &[90.0], &axis, &axis, [1.0, 1.0]).is_err());
+    }
+
+    /// Lines at any angle, with data in every node that they pass: between two lines the harmonic mean of the distances to both, beyond the last twice the
+    /// distance to it.
+    #[test]
+    fn data_on_either_side_count_by_their_harmonic_mean() {
+        let (n, gap) = (81, 20.0);
+        let axis = Axis::new(0.0, 1.0, n).unwrap();
+        for degrees in [0.0_f64, 20.0, 45.0, 70.0, 90.0, 130.0] {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            let at = |along: f64, across: f64| (40.0 + along * cos - across * sin, 40.0 + along * sin + across * cos);
+            let (mut x, mut y) = (Vec::new(), Vec::new());
+            for k in -400..=400 {
+                for across in [-0.5 * gap, 0.5 * gap] {
+                    let (px, py) = at(0.25 * f64::from(k), across);
+                    x.push(px);
+                    y.push(py);
+                }
+            }
+            let got = distances_to_data(&x, &y, &axis, &axis, [30.0, 30.0]).unwrap().either_side;
+            for across in [-13.0, -6.0, -3.0, 0.0, 4.0, 7.0, 15.0_f64] {
+                let (px, py) = at(0.0, across);
+                let node = [px.round(), py.round()];
+                // Where the node itself lies.
+                let across = -(node[0] - 40.0) * sin + (node[1] - 40.0) * cos;
+                let (d, e) = ((across - 0.5 * gap).abs(), (across + 0.5 * gap).abs());
+                let wanted = if across.abs() < 0.5 * gap { 2.0 * d * e / (d + e) } else { 2.0 * d.min(e) };
+                let is = got[node[1] as usize * n + node[0] as usize] / 30.0;
+                assert!((is - wanted).abs() < 1.5, "{degrees} {across} {is} {wanted}");
+            }
+        }
     }
 }

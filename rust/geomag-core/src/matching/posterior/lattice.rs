@@ -45,7 +45,11 @@ impl Lattice {
     /// All of them, row by row.
     pub fn offsets(&self) -> Vec<[f64; 2]> {
         let [columns, rows] = self.most;
-        (-rows..=rows).flat_map(|j| (-columns..=columns).map(move |i| self.offset([i, j]))).collect()
+        let mut out = Vec::with_capacity(usize::try_from(self.len()).unwrap_or(0));
+        for j in -rows..=rows {
+            out.extend((-columns..=columns).map(|i| self.offset([i, j])));
+        }
+        out
     }
 
     pub fn offset(&self, index: [i64; 2]) -> [f64; 2] {
