@@ -4,12 +4,13 @@
 learns from what it sees how large the errors of a gridded map are, how far along a track they go together, and how far whole
 features stand displaced. The `GridMap` that comes back carries all of it; `match_posterior` needs nothing else.
 
-The model, in the distance D to the nearest datum, the local root mean square gradient G and the local root mean square
+The model, in the distance D to the data, the local root mean square gradient G and the local root mean square
 second derivative C of the map:
 
     sigma^2 = n^2 + (a D / L)^2 + (0.1 cell * G)^2 + (b G D)^2 + (c C D^2)^2
 
-with L half the line spacing and n the noise of the lines themselves (from their second differences). `b G D` is a feature displaced
+with D the harmonic mean of the distance to the nearest datum and of that to the nearest on the other side (what lies between two lines is known better than what
+lies as far beyond one), L half the line spacing and n the noise of the lines themselves (from their second differences). `b G D` is a feature displaced
 by a part of the gap, `c C D^2` one that no line has seen, `a` what is between the lines where the map is flat. All of them vanish on
 a line: that is what keeps a track in a gap from being taken for the next line, which it resembles most. Samples follow a
 Student-t law; their effective number follows from a correlation length in units of D. What the formula leaves out goes over kilometres: sigma is

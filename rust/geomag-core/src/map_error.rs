@@ -33,7 +33,7 @@ pub struct MapErrorModel {
     pub correlation: f64,
     /// Displacement of a map's features common to a whole track, per axis, in units of the distance to the data.
     pub registration: f64,
-    /// Distance to the data.
+    /// Distance to the data: of maps made from lines, to those on either side ([`Distances`](crate::gridding::Distances)).
     pub distance_m: DistanceLayer,
     /// Log evidence that an effect which was not told must gain for a fix to be rejected; `None` where it was not learnt.
     #[serde(default)]

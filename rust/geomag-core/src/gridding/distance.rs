@@ -44,7 +44,9 @@ pub fn distances_to_data(x: &[f64], y: &[f64], x_axis: &Axis, y_axis: &Axis, cel
     }
     let other = other_side(&square, [columns, rows], cell_m);
     transform(&mut square, [columns, rows], cell_m);
-    let mean = |(d, e): (&f64, f64)| if e.is_finite() { 2.0 * d * e.max(*d) / (d + e.max(*d)).max(f64::MIN_POSITIVE) } else { 2.0 * d };
+    let mean = |(d, e): (&f64, f64)| {
+        if e.is_finite() { 2.0 * d * e.max(*d) / (d + e.max(*d)).max(f64::MIN_POSITIVE) } else { 2.0 * d }
+    };
     let either_side = square.iter().zip(other).map(mean).collect();
     Ok(Distances { nearest: square, either_side })
 }
@@ -55,8 +57,10 @@ type Away = [i32; 2];
 /// Distance to the nearest datum on the other side of every node; infinite where there is none and where a datum is. `occupied` is 0 at a datum.
 fn other_side(occupied: &[f64], shape: [usize; 2], cell_m: [f64; 2]) -> Vec<f64> {
     let metres = |a: Away| [f64::from(a[0]) * cell_m[0], f64::from(a[1]) * cell_m[1]];
-    let quadrants: Vec<Vec<Option<Away>>> =
-        [[1, 1], [-1, 1], [1, -1], [-1, -1]].iter().map(|towards| quadrant(occupied, shape, cell_m, *towards)).collect();
+    let quadrants: Vec<Vec<Option<Away>>> = [[1, 1], [-1, 1], [1, -1], [-1, -1]]
+        .iter()
+        .map(|towards| quadrant(occupied, shape, cell_m, *towards))
+        .collect();
     let of_node = |i: usize| {
         let near = || quadrants.iter().filter_map(|q| q[i]).map(|a| (metres(a), length(metres(a))));
         let Some((nearest, distance)) = near().min_by(|a, b| a.1.total_cmp(&b.1)).filter(|n| n.1 > 0.0) else {
