@@ -7,6 +7,7 @@ import pytest
 
 import geomag
 from geomag import synthetic
+from geomag._statistics import normalised_squares
 from geomag.calibration import calibrate_navigation
 from geomag.navigation_report import FlightRun, NavigationReport
 
@@ -49,6 +50,22 @@ def test_figures_of_runs_that_are_known():
     ) == (0.0, 0.0, 1.0, 1.0)
     nearly = NavigationReport("near", "navigator", [run((0.0, 350.0))]).summary()
     assert (nearly["inside"], nearly["inside_declared"]) == (0.0, 1.0)
+
+
+def test_a_covariance_of_nothing_is_an_infinite_error_and_no_refusal():
+    errors = np.random.default_rng(3).normal(0, 50, (40, 2))
+    full = np.tile([[900.0, 200.0], [200.0, 400.0]], (40, 1, 1))
+    wanted = np.einsum("ki,kij,kj->k", errors, np.linalg.inv(full), errors)
+    np.testing.assert_allclose(normalised_squares(errors, full), wanted, rtol=1e-12)
+    # One particle left, or particles on a line.
+    for bad in (np.zeros((2, 2)), np.array([[4.0, 2.0], [2.0, 1.0]])):
+        assert np.isinf(normalised_squares(errors, np.tile(bad, (40, 1, 1)))).all()
+    assert normalised_squares(np.zeros((1, 2)), np.zeros((1, 2, 2))) == 0.0
+    collapsed = NavigationReport("one particle", "rbpf", [run((3.0, 4.0), sigma=0.0)])
+    assert collapsed.summary()["nees"] == np.inf
+    assert "| inf |" in NavigationReport.table([collapsed])
+    near = NavigationReport("nearly", "rbpf", [run((3.0, 4.0), sigma=1e-12)])
+    assert "| 2.5e+25 |" in NavigationReport.table([near])
 
 
 def test_lost_is_not_diverged_where_it_is_declared():

@@ -11,6 +11,7 @@ import numpy as np
 from geomag._errors import InvalidInputError, ShapeError
 from geomag._geomag import GridMap, HarmonicMap, MapStack, _displacements_m, _navigate, _radii_m
 from geomag._optional import require
+from geomag._statistics import normalised_squares
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -178,8 +179,7 @@ class Navigation:
         out["median_m"] = float(np.median(distance))
         out["p95_m"] = float(np.quantile(distance, 0.95))
         out["max_m"] = float(distance.max())
-        solved = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
-        out["nees"] = float(np.mean(np.sum(error * solved, axis=1)))
+        out["nees"] = float(np.mean(normalised_squares(error, covariance)))
         out["within_99"] = float(np.mean(distance <= radius))
         out["within_declared"] = float(np.mean(distance <= DECLARED * radius))
         out["beyond_protection"] = float(np.mean(distance > self.protection_level_m[kept]))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
+
 
 def _log_choose(n: int, k: int) -> float:
     return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
@@ -66,3 +69,16 @@ def wilson(wrong: float, n: float, z: float = 1.96) -> tuple[float, float]:
     centre = p + z * z / (2 * n)
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return max(0.0, (centre - half) / (1 + z * z / n)), min(1.0, (centre + half) / (1 + z * z / n))
+
+
+def normalised_squares(error: npt.NDArray[np.float64], covariance: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """e^T P^-1 e of errors (n, 2) and their covariances (n, 2, 2); infinite for an error along a direction that is declared known without any.
+
+    A particle filter that has come down to one particle declares that.
+    """
+    (a, b), (_, d) = covariance[:, 0].T, covariance[:, 1].T
+    x, y = error.T
+    determinant = a * d - b * b
+    declared = (a > 0) & (d > 0) & (determinant > 0)
+    square = (d * x * x - 2 * b * x * y + a * y * y) / np.where(declared, determinant, 1.0)
+    return np.where(declared, square, np.where((x == 0) & (y == 0), 0.0, np.inf))

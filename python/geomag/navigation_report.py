@@ -20,7 +20,7 @@ from geomag._geomag import GridMap, InsFeedback, InsModel, Navigator, Track, _ra
 from geomag._inertial import Inertial, draw_inertial_error, indicate, strapdown
 from geomag._navigation import DECLARED, SETTLING_S, Navigation, navigate
 from geomag._ranges import above, at_least
-from geomag._statistics import wilson
+from geomag._statistics import normalised_squares, wilson
 from geomag.flights import FieldSensor, LineFlight, line_flights, scales_m, steps_m
 from geomag.survey import Lines, map_from_lines
 
@@ -32,6 +32,8 @@ Disturbance = Callable[[LineFlight, Inertial, Array, np.random.Generator], Array
 #: A flight that ends further off than this and than three standard deviations has diverged without a word.
 DIVERGED_M = 1000.0
 METHODS = ("navigator", "smoothed", "ekf", "rbpf", "windows")
+#: Normalised errors squared from which tables give the size alone.
+MOST_IN_FULL = 1e7
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,6 @@ class NavigationReport:
         covariance = all_of(lambda r: r.covariance_m2)
         level = all_of(lambda r: r.protection_level_m)
         radius = _radii_m(covariance, 0.99)
-        scaled = np.linalg.solve(covariance, error[:, :, None])[:, :, 0]
         over = [
             bool(np.any((np.hypot(*r.error_m.T) > r.protection_level_m)[c]))
             for r, c in zip(self.runs, counted, strict=True)
@@ -141,7 +142,7 @@ class NavigationReport:
             "median_m": float(np.median(distance)),
             "p95_m": float(np.quantile(distance, 0.95)),
             "max_m": float(distance.max()),
-            "nees": float(np.mean(np.sum(error * scaled, axis=1))),
+            "nees": float(np.mean(normalised_squares(error, covariance))),
             "inside": float(np.mean(distance <= radius)),
             "inside_declared": float(np.mean(distance <= DECLARED * radius)),
             "beyond_protection": float(np.mean(distance > level)),
@@ -174,8 +175,9 @@ class NavigationReport:
         for one in reports:
             s = one.summary()
             low, high = wilson(s["diverged"] * s["runs"], s["runs"])
+            nees = f"{s['nees']:.1f}" if s["nees"] < MOST_IN_FULL else f"{s['nees']:.2g}"
             rows.append(
-                f"| {one.name}, {one.method} | {s['runs']:.0f} | {s['drms_m']:.0f} | {s['median_m']:.0f} | {s['p95_m']:.0f} | {s['nees']:.1f} | "
+                f"| {one.name}, {one.method} | {s['runs']:.0f} | {s['drms_m']:.0f} | {s['median_m']:.0f} | {s['p95_m']:.0f} | {nees} | "
                 f"{100 * s['inside']:.1f} % | {100 * s['inside_declared']:.1f} % | {100 * s['beyond_protection']:.2f} % | "
                 f"{100 * s['beyond_protection_flights']:.0f} % | {100 * s['diverged']:.0f} % ({100 * low:.0f} to {100 * high:.0f}) | {100 * s['kept']:.0f} % | "
                 f"{100 * s['lost_time']:.1f} % | {s['unaided_drms_m']:.0f}, {s['unaided_median_m']:.0f} |"
