@@ -1,5 +1,7 @@
 //! How far every node is from the nearest datum.
 
+use rayon::prelude::*;
+
 use super::check;
 use crate::bounds::require_distance_m;
 use crate::error::{Error, Result, require_positive};
@@ -58,7 +60,7 @@ type Away = [i32; 2];
 fn other_side(occupied: &[f64], shape: [usize; 2], cell_m: [f64; 2]) -> Vec<f64> {
     let metres = |a: Away| [f64::from(a[0]) * cell_m[0], f64::from(a[1]) * cell_m[1]];
     let quadrants: Vec<Vec<Option<Away>>> = [[1, 1], [-1, 1], [1, -1], [-1, -1]]
-        .iter()
+        .par_iter()
         .map(|towards| quadrant(occupied, shape, cell_m, *towards))
         .collect();
     let of_node = |i: usize| {
@@ -69,11 +71,11 @@ fn other_side(occupied: &[f64], shape: [usize; 2], cell_m: [f64; 2]) -> Vec<f64>
         let opposite = |(m, d): &([f64; 2], f64)| m[0] * nearest[0] + m[1] * nearest[1] < -0.5 * d * distance;
         near().filter(opposite).map(|(_, d)| d).fold(f64::INFINITY, f64::min)
     };
-    (0..occupied.len()).map(of_node).collect()
+    (0..occupied.len()).into_par_iter().map(of_node).collect()
 }
 
 fn length([x, y]: [f64; 2]) -> f64 {
-    x.hypot(y)
+    (x * x + y * y).sqrt()
 }
 
 /// The nearest datum of every node in the quadrant `towards` (signs east and north), in one sweep away from it: that of one of the three neighbours there.
