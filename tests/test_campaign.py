@@ -4,7 +4,7 @@ import os
 import signal
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 
@@ -15,6 +15,7 @@ import geomag
 from geomag import campaign, synthetic
 from geomag._statistics import binomial_interval
 from geomag.campaign._plan import _Work
+from geomag.campaign._workers import _completed
 
 METHOD = campaign.iema(sigma=1.0, half_width=2000.0)
 
@@ -351,6 +352,17 @@ def test_what_a_matcher_raises_is_not_tried_again(plan):
         plan.run(method, 40, executor=pool, chunk=4)
     assert any("trials 0 to 3" in note for note in caught.value.__notes__)
     assert method.calls <= 10  # no chunk twice; some may have begun before they were called off
+
+
+def test_of_chunks_that_are_done_at_once_the_first_comes_first():
+    done = [Future() for _ in range(50)]
+    for future in done:
+        future.set_result(None)
+    waiting = {future: i for i, future in enumerate(done)}
+    seen = []
+    for future in _completed(waiting):
+        seen.append(waiting.pop(future))
+    assert seen == list(range(50))
 
 
 class Stays(Exception):

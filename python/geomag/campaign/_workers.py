@@ -96,13 +96,13 @@ def _distribute(
 
 
 def _completed(waiting: Mapping[Any, int]) -> Iterator[Any]:
-    """Futures as they are done, those that are added meanwhile too."""
+    """Futures as they are done, those that are added meanwhile too; of several at once the first chunk's first, so that it is the first error that is told."""
     while waiting:
-        yield from wait(waiting, return_when=FIRST_COMPLETED).done
+        yield from sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=waiting.__getitem__)
 
 
 def _dask_completed(waiting: Mapping[Any, int]) -> Iterator[Any]:
     """`_completed` for the futures of a Dask client."""
     distributed = require("distributed", "distributed", "running on a Dask client")
     while waiting:
-        yield from distributed.wait(list(waiting), return_when="FIRST_COMPLETED").done
+        yield from sorted(distributed.wait(list(waiting), return_when="FIRST_COMPLETED").done, key=waiting.__getitem__)
