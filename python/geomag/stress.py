@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geomag._geomag import Fix, GridMap, PosteriorMatcher, Track, match_posterior_many
 from geomag._ranges import above, at_least
+from geomag._statistics import normalised_squares
 
 Array = NDArray[np.float64]
 Reading = Callable[[Array, Array], Array]
@@ -71,9 +72,7 @@ class StressRow:
 def _row(name: str, fixes: Sequence[Fix], offsets: Array, tolerance_m: float) -> StressRow:
     fixed = [(fix, offset) for fix, offset in zip(fixes, offsets, strict=True) if fix.ok]
     errors = np.array([np.subtract(fix.offset_m, offset) for fix, offset in fixed]).reshape(-1, 2)
-    squares = [
-        float(e @ np.linalg.solve(np.asarray(fix.covariance_m2), e)) for (fix, _), e in zip(fixed, errors, strict=True)
-    ]
+    squares = normalised_squares(errors, np.array([fix.covariance_m2 for fix, _ in fixed]).reshape(-1, 2, 2))
     return StressRow(
         name,
         len(fixes),
@@ -81,8 +80,8 @@ def _row(name: str, fixes: Sequence[Fix], offsets: Array, tolerance_m: float) ->
         int(np.sum(np.hypot(errors[:, 0], errors[:, 1]) > tolerance_m)),
         sum(fix.misfit is not None for fix in fixes),
         float(sum(fix.risk or 0.0 for fix, _ in fixed)),
-        float(np.mean(squares)) if squares else float("nan"),
-        float(np.mean(np.array(squares) > LIMIT)) if squares else float("nan"),
+        float(np.mean(squares)) if fixed else float("nan"),
+        float(np.mean(squares > LIMIT)) if fixed else float("nan"),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from geomag._geomag import Fix, GridMap, SlidingContour, Track, energy_bandwidth, match_contour, tune_sequence
 from geomag._optional import require
 from geomag._sequence import delta_modulation
+from geomag._statistics import normalised_squares
 from geomag.io import read_grid
 from geomag.reproduce import Context, Report, Table
 
@@ -202,7 +203,7 @@ class Tally:
         self.points.append(fix.n_samples)
         self.iterations.append(fix.iterations)
         if fix.covariance_m2 is not None:
-            self.normalised.append(float(error @ np.linalg.solve(fix.covariance_m2, error)))
+            self.normalised.append(float(normalised_squares(error[None], fix.covariance_m2[None])[0]))
 
     def row(self) -> list[object]:
         """Median, 90 %, share improved, shares under 250 and 500 m, failures."""

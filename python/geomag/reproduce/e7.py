@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geomag._defaults import default_of
 from geomag._geomag import FieldNavigator, GridMap, RectangularHarmonicModel
+from geomag._statistics import normalised_squares
 from geomag.reproduce import Context, Report, Table
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def sail(
     estimated = np.array([(s.x, s.y) for s in steps])
     covariance = np.array([s.covariance_m2 for s in steps])
     error = estimated - truth
-    normalised = np.einsum("ki,kij,kj->k", error, np.linalg.inv(covariance), error)
+    normalised = normalised_squares(error, covariance)
     sigmas = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     return Sail(error, sigmas, normalised, truth, estimated)
 
