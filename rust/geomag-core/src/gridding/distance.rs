@@ -1,4 +1,4 @@
-//! How far every node is from the nearest datum.
+//! How far every node is from the data: from the nearest, and from those on either side.
 
 use rayon::prelude::*;
 
@@ -46,8 +46,10 @@ pub fn distances_to_data(x: &[f64], y: &[f64], x_axis: &Axis, y_axis: &Axis, cel
     }
     let other = other_side(&square, [columns, rows], cell_m);
     transform(&mut square, [columns, rows], cell_m);
-    let mean = |(d, e): (&f64, f64)| {
-        if e.is_finite() { 2.0 * d * e.max(*d) / (d + e.max(*d)).max(f64::MIN_POSITIVE) } else { 2.0 * d }
+    // A datum has no other side, so that two distances that are finite are above zero.
+    let mean = |(d, other): (&f64, f64)| {
+        let e = other.max(*d);
+        if e.is_finite() { 2.0 * d * e / (d + e) } else { 2.0 * d }
     };
     let either_side = square.iter().zip(other).map(mean).collect();
     Ok(Distances { nearest: square, either_side })
