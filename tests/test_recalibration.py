@@ -13,7 +13,7 @@ import geomag
 from geomag.calibration import Calibration
 from geomag.survey import ErrorModel, limit_of_mean
 from geomag.survey import _trials as trials
-from geomag.survey._fit import fit_lapses, fit_recalibration, recalibrated
+from geomag.survey._fit import fit_covariance_factor, fit_forecast, fit_lapses, fit_recalibration, recalibrated
 from geomag.survey._folds import Fold
 from geomag.survey._model import Law
 from geomag.survey._steps import Steps
@@ -43,7 +43,7 @@ def test_the_declared_risk_is_the_line_of_the_computed_one(scene):
     line = (0.7, 0.4)
     read = grid.with_error_model(**base, recalibration=line, forecast=(1.5, 1.2))
     assert read.error_model["recalibration"] == line
-    assert read.error_model["forecast"] == (1.5, 1.2)
+    assert read.error_model["forecast"] == (1.5, 1.2, 0.0)
     again = grid.with_error_model(**read.error_model)
     assert again.error_model == read.error_model
     for streaming in (False, True):
@@ -84,6 +84,71 @@ def test_the_forecast_widens_what_is_foretold(scene):
         np.testing.assert_allclose(b.covariance_m2, 4 * np.asarray(a.covariance_m2), rtol=1e-9)
         np.testing.assert_allclose(b.bound_m2, a.bound_m2)
     assert np.mean([b.fix_probability for b in wide]) < np.mean([a.fix_probability for a in plain])
+
+
+def test_what_is_foretold_has_a_part_that_no_information_takes_away(scene):
+    grid, tracks, base = scene
+    options = {"half_width": 1000.0, "sigma": 1.0, "tolerance_m": 150.0, "flights": 0}
+    plain, read = (
+        geomag.predict_many(grid.with_error_model(**base, forecast=f), tracks, **options)
+        for f in ((1.0, 1.0), (1.0, 1.4, 0.3))
+    )
+    for a, b in zip(plain, read, strict=True):
+        expected = 1.4**2 * np.asarray(a.covariance_m2) + (0.3 * base["distance_m"]) ** 2 * np.eye(2)
+        np.testing.assert_allclose(b.covariance_m2, expected, rtol=1e-9)
+    for wrong in ((1.0, 1.0, -0.1), (1.0, 0.0, 0.1), (1.0, 1.0, np.nan), (1.0, 1.0, 0.1, 0.1)):
+        with pytest.raises((geomag.InvalidInputError, TypeError), match="forecast"):
+            grid.with_error_model(**base, forecast=wrong)
+
+
+def test_spread_and_registration_of_what_is_foretold_are_found():
+    rng = np.random.default_rng(8)
+    local, distance = np.exp(rng.normal(3.0, 0.6, 8000)), rng.uniform(50, 150, 8000)
+    for spread, registration in ((1.5, 0.3), (2.0, 0.01), (0.5, 0.4)):
+        variance = spread**2 * local**2 + 2 * (registration * distance) ** 2
+        found = fit_forecast(local**2, distance, np.sqrt(variance * rng.exponential(1.0, local.size)), 1.0)
+        again = found[0] ** 2 * local**2 + 2 * (found[1] * distance) ** 2
+        np.testing.assert_allclose(again, variance, rtol=0.2)
+    # Information that explains nothing is still believed to be worth something where the field is flat.
+    spread, _ = fit_forecast(local[:200] ** 2, distance[:200], 40.0 * np.sqrt(rng.exponential(1.0, 200)), 0.5)
+    assert 0.1 < spread < 1
+
+
+def test_the_declared_covariance_is_the_factor_times_the_computed_one(scene, tmp_path):
+    grid, tracks, base = scene
+    options = {"half_width": 1000.0, "sigma": 1.0, "tolerance_m": 150.0}
+    plain, read = grid.with_error_model(**base), grid.with_error_model(**base, covariance_factor=0.6)
+    read.save(tmp_path / "map.nc")
+    for again in (geomag.read_grid(tmp_path / "map.nc"), pickle.loads(pickle.dumps(read))):
+        assert again.error_model["covariance_factor"] == 0.6
+    for streaming in (False, True):
+        before, after = (geomag.match_posterior_many(m, tracks, streaming=streaming, **options) for m in (plain, read))
+        assert any(f.ok for f in before)
+        for a, b in zip(before, after, strict=True):
+            np.testing.assert_allclose(b.covariance_m2, 0.6 * np.asarray(a.covariance_m2), rtol=1e-12)
+            assert (a.risk, a.status, a.offset) == (b.risk, b.status, b.offset)
+    # Of two maps the more careful factor holds, and a map that has none says nothing.
+    wide = grid.with_error_model(**base, covariance_factor=1.5)
+    track = tracks[5]
+    alone, first, second = (
+        np.asarray(geomag.match_posterior(m, track, channels=[(n, track.values, 1.0)], **options).covariance_m2)
+        for m, n in ((plain, plain), (read, wide), (read, plain))
+    )
+    np.testing.assert_allclose(first, 1.5 * alone, rtol=1e-9)
+    np.testing.assert_allclose(second, 0.6 * alone, rtol=1e-9)
+    for wrong in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(geomag.InvalidInputError, match="covariance_factor"):
+            grid.with_error_model(**base, covariance_factor=wrong)
+
+
+def test_the_factor_on_covariances_is_found_where_fixes_are_many_and_shrunk_where_they_are_few():
+    rng = np.random.default_rng(9)
+    squares = 0.6 * rng.chisquare(2, 4000)
+    squares[:40] = 1e6  # answers that are wrong altogether move no median
+    assert fit_covariance_factor(squares, 1.0) == pytest.approx(0.6, abs=0.04)
+    few = np.full(20, 0.6 * 2 * np.log(2))
+    assert 0.6 < fit_covariance_factor(few, 1.0) < fit_covariance_factor(few, 0.2) < 1
+    assert fit_covariance_factor(np.zeros(20), 1.0) > 0
 
 
 def test_the_line_is_found_where_answers_are_many_and_shrunk_where_they_are_few():
@@ -146,7 +211,10 @@ def test_the_line_is_learnt_at_the_correlation_that_is_flown_from_all_windows(su
         computed = rng.normal(0, 2, (len(tracks), 1000))
         wrong = rng.random(computed.shape) < 1 / (1 + np.exp(correlation - computed))
         stated = np.ones(1000, dtype=bool)
-        return [trials.Outcome(1 / (1 + np.exp(-c)), 0.0 * c, w, stated) for c, w in zip(computed, wrong, strict=True)]
+        return [
+            trials.Outcome(1 / (1 + np.exp(-c)), 0.0 * c, w, stated, 0.0 * c)
+            for c, w in zip(computed, wrong, strict=True)
+        ]
 
     monkeypatch.setattr(trials.Trials, "_answered", answered)
     point = trials.Point()
@@ -176,7 +244,7 @@ def test_a_model_that_half_of_the_folds_deny_is_tried_no_further(survey_parts, m
         away = abs(np.log(correlation / 2.0))
         wrong = np.arange(200) < 10
         risk = np.where(wrong, 1 / (1 + away), 0.02 + 0.3 * away)
-        return [trials.Outcome(risk, 300.0 * wrong, wrong, np.ones(200, dtype=bool)) for _ in folds]
+        return [trials.Outcome(risk, 300.0 * wrong, wrong, np.ones(200, dtype=bool), np.ones(200)) for _ in folds]
 
     monkeypatch.setattr(trials.Trials, "_answered", answered)
     best, correlation = one.search()

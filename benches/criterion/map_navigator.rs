@@ -30,6 +30,7 @@ fn map(exact: bool) -> GridMap {
         recalibration: None,
         forecast: None,
         lapses: None,
+        covariance_factor: None,
     };
     map.with_error_model((!exact).then_some(model)).unwrap()
 }

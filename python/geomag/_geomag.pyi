@@ -78,9 +78,10 @@ class GridMap:
         registration_length: float | None = None,
         misfit_threshold: float | None = None,
         recalibration: tuple[float, float] | None = None,
-        forecast: tuple[float, float] | None = None,
+        forecast: tuple[float, float, float] | tuple[float, float] | None = None,
         layout: Literal["given", "values"] = "given",
         lapses: tuple[float, float] | None = None,
+        covariance_factor: float | None = None,
     ) -> GridMap: ...
     @property
     def error_model(self) -> dict[str, Any] | None: ...

@@ -52,8 +52,13 @@ pub fn error_model(s: &mut Source<'_>, nodes: usize) -> MapErrorModel {
             registration_length: s.number(1.0, 50.0),
         }),
         recalibration: s.one_in(2).then(|| Recalibration { slope: s.number(0.5, 1.5), intercept: s.number(-1.0, 1.0) }),
-        forecast: s.one_in(2).then(|| Forecast { level: s.number(0.5, 1.5), spread: s.number(0.0, 0.5) }),
+        forecast: s.one_in(2).then(|| Forecast {
+            level: s.number(0.5, 1.5),
+            spread: s.number(0.0, 0.5),
+            registration: s.number(0.0, 1.0),
+        }),
         lapses: s.one_in(2).then(|| Lapses { share: s.number(0.0, 0.5), length_m: s.number(100.0, 1e4) }),
+        covariance_factor: s.one_in(2).then(|| s.number(0.3, 3.0)),
     }
 }
 

@@ -170,7 +170,7 @@ def settled(
 
     # What the chosen model leaves to be learnt: four things that know nothing of each other, the longest first.
     learnt: dict[str, Callable[[], object]] = {
-        "forecast": lambda: trials.forecast(point, correlation, line),
+        "forecast": lambda: trials.forecast(best, point, correlation),
         "filter": for_filters,
         "lapses": lambda: (fit_lapses(*trials.first_answers(point, correlation, line)), length_m),
         "misfit_threshold": lambda: trials.misfit_threshold(point, correlation, line),
@@ -205,6 +205,7 @@ def settled(
         recalibration=line,
         forecast=found["forecast"],
         lapses=found["lapses"],
+        covariance_factor=trials.covariance_factor(best),
         levels=levels[0] if levels else None,
         misfit_threshold=found["misfit_threshold"],
         risks=sorted(float(r) for r in recalibrated(best.risk[best.stated], line)),

@@ -68,6 +68,7 @@ def _carrying(grid: GridMap, values: Array, sigma: Array, distance: Array, model
         recalibration=model.recalibration,
         forecast=model.forecast,
         lapses=model.lapses,
+        covariance_factor=model.covariance_factor,
         misfit_threshold=model.misfit_threshold,
     )
 
@@ -185,7 +186,8 @@ def map_from_lines(
     method : 'minimum_curvature' (needs NumPy alone), 'linear' or 'cubic' on Delaunay triangles (needs SciPy).
     smoothing_m : length over which the map is smoothed, metres (minimum curvature; waves of 2 pi times that length are halved); 0 honours
         every reading. By default the lines say: 0 unless lines that are left out clearly fit a smoother map better.
-    max_distance_m : nodes further from any datum are holes; 2.5 line spacings by default.
+    max_distance_m : nodes further from the data are holes; 2.5 line spacings by default. Counted is the harmonic mean of the distances to the nearest
+        datum and to the nearest on the other side, so that a surface is carried on beyond the last line half as far as it is laid between two.
     model : errors learnt before (`learn_errors`), to be used instead of learning them.
     spacing_m, half_width_m, tolerance_m, samples : metres between samples, bound of the start error per axis, error beyond which a fix is wrong and samples of a
         track, as they will be flown; errors are learnt for them (see `learn_errors`).
@@ -233,7 +235,7 @@ def map_from_lines(
         )
         xs, ys = axes.coordinates()
         grid = GridMap(
-            np.where(distances.nearest <= reach, surface, np.nan),
+            np.where(distances.either_side <= reach, surface, np.nan),
             xs,
             ys,
             geographic=lines.geographic,

@@ -50,8 +50,8 @@ class ErrorModel:
     it rests on, `loss` is the mean log loss of the risks declared for them. `smoothing_m` is the length over which the map was smoothed
     (0: the lines are honoured). `filter` is what a navigator needs beside that, where the lines were enough to learn it.
     `share` is the sigma that windows ask for over that of single samples. `recalibration` (slope, intercept) is the line in
-    log-odds from the computed risk to the declared one, `forecast` the factors on simulated errors and on the standard deviation foretold, None where
-    they were not learnt. `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be refused: three in a hundred right fixes of
+    log-odds from the computed risk to the declared one, `covariance_factor` leads from the computed covariance of a fix to the declared one, and `forecast`
+    is level, spread and registration of what is foretold (see `GridMap.with_error_model`), None where they were not learnt. `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be refused: three in a hundred right fixes of
     the windows left out gain as much. `risks` are those declared for the windows left out, and `settings` what they were flown with.
     `lapses` (share, length in metres) is how often shorter tracks are wrong whatever their risk says (see `GridMap.with_error_model`). `levels` says where the
     errors are larger or smaller than the formula's.
@@ -74,12 +74,13 @@ class ErrorModel:
     trials: list[dict[str, float]] = field(default_factory=list, repr=False)
     share: float | None = None
     recalibration: tuple[float, float] | None = None
-    forecast: tuple[float, float] | None = None
+    forecast: tuple[float, float, float] | None = None
     misfit_threshold: float | None = None
     risks: list[float] = field(default_factory=list, repr=False)
     settings: dict[str, float] = field(default_factory=dict, repr=False)
     distance_m: float | None = None
     lapses: tuple[float, float] | None = None
+    covariance_factor: float | None = None
     levels: Levels | None = field(default=None, repr=False)
 
     def limit_of_mean(self, mean_risk: float = 0.01) -> float:

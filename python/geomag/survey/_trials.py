@@ -8,13 +8,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from geomag._geomag import GridMap, Track, match_posterior_many, predict_many
-from geomag.survey._fit import INTERCEPT_PRIOR, SLOPE_PRIOR, fit_recalibration, recalibrated
+from geomag._geomag import GridMap, Prediction, Track, match_posterior_many, predict_many
+from geomag._statistics import normalised_squares
+from geomag.survey._fit import (
+    INTERCEPT_PRIOR,
+    SLOPE_PRIOR,
+    fit_covariance_factor,
+    fit_forecast,
+    fit_recalibration,
+    recalibrated,
+)
 from geomag.survey._folds import Fold
 from geomag.survey._levels import Levels
 from geomag.survey._lines import Array
 from geomag.survey._model import LEARNT_SPREAD, NU, REGISTRATION, Law, sigma_of
 from geomag.survey._steps import Steps
+from geomag.survey._surface import nearest
 from geomag.survey._survey import Window, windows_of
 
 #: Windows that are learnt from, where the lines give them; overlaps of neighbours and starts of one window that make up for lines that do not.
@@ -47,17 +56,23 @@ NO_STATEMENT = ("at_edge", "lost", "rejected")
 PARTS = (0.85, 0.7, 0.55, 0.4)
 LIKELY = 0.5
 FIRST_RISKS = (0.1, 0.03, 0.01, 0.003)
+#: Parts of every so many windows are answered to: four matches each for one number.
+EVERY_FIRST = 2
 #: Levels of error that flights are simulated with for the forecast, and the most windows that it is learnt from.
 FORECAST_LEVELS = (1.0, 2.0, 4.0, 8.0)
 FORECAST_WINDOWS = 200
 #: Risk at which the forecast counts a fix.
 FORECAST_RISK = 0.01
+#: The fewest fixes that a forecast and a factor on covariances are learnt from.
+FEWEST_FORETOLD = 20
 #: Share of right fixes that the tests of misfit may refuse, the log evidence from which gains are looked at, the range of the threshold, and the
 #: fewest right fixes that it is learnt from.
 FALSE_ALARMS = 0.03
 LEAST_GAIN = 1.0
 MISFIT_RANGE = (4.0, 15.0)
 FEWEST_FIXES = 60
+#: No more fixes are tested once there are so many, which tell three in a hundred to one or so: a fold's map is continued to other heights for the tests.
+ENOUGH_FIXES = 200
 
 
 @dataclass(frozen=True)
@@ -116,12 +131,12 @@ class Point:
 
 
 #: What an outcome says of every window.
-ANSWERS = ("risk", "error_m", "wrong", "stated")
+ANSWERS = ("risk", "error_m", "wrong", "stated", "squares")
 
 
 @dataclass
 class Outcome:
-    """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything.
+    """What came of the windows under one error model: computed risk, error, whether beyond the tolerance, whether the status states anything, normalised error squared.
 
     `line` is that in log-odds by which the risks are then to be read.
     """
@@ -130,8 +145,14 @@ class Outcome:
     error_m: Array
     wrong: npt.NDArray[np.bool_]
     stated: npt.NDArray[np.bool_]
+    squares: Array
     line: tuple[float, float] = (1.0, 0.0)
     total: float = 0.0
+
+    @property
+    def fixed(self) -> npt.NDArray[np.bool_]:
+        """Which would be declared."""
+        return self.stated & (recalibrated(self.risk, self.line) <= FORECAST_RISK)
 
     @property
     def loss(self) -> float:
@@ -295,15 +316,16 @@ class Trials:
                 misfit_threshold=np.inf,
                 progress=self.steps.waited_for,
             )
-            rows: list[tuple[float, float, bool]] = []
+            rows: list[tuple[float, float, bool, float]] = []
             for fix, offset in zip(fixes, true, strict=True):
-                if fix.risk is None:
-                    rows.append((np.nan, np.inf, False))
+                if fix.risk is None or fix.covariance_m2 is None:
+                    rows.append((np.nan, np.inf, False, np.inf))
                     continue
-                away = float(np.hypot(*((np.array(fix.offset) - offset) * self._scale)))
-                rows.append((fix.risk, away, fix.status not in NO_STATEMENT))
-            risk, error_m, stated = np.array(rows, dtype=float).reshape(-1, 3).T
-            return Outcome(risk, error_m, error_m > self.settings.tolerance_m, stated.astype(bool))
+                away = (np.array(fix.offset) - offset) * self._scale
+                square = float(normalised_squares(away[None], fix.covariance_m2[None])[0])
+                rows.append((fix.risk, float(np.hypot(*away)), fix.status not in NO_STATEMENT, square))
+            risk, error_m, stated, squares = np.array(rows, dtype=float).reshape(-1, 4).T
+            return Outcome(risk, error_m, error_m > self.settings.tolerance_m, stated.astype(bool), squares)
 
         return self.steps.side_by_side(answers, list(zip(self.maps(point.share, folds), tracks, offsets, strict=True)))
 
@@ -317,6 +339,7 @@ class Trials:
         n = self.settings.samples
         likely = enumerate(self._within(LIKELY, line))
         whole = [(k, i) for k, some in likely for i in some if len(self._tracks[k][i]) == n]
+        whole = whole[::EVERY_FIRST]
         seen: dict[tuple[int, int], list[tuple[float, float, bool]]] = {one: [] for one in whole}
         left = whole
         for size in sorted({max(3, round(part * n)) for part in PARTS}, reverse=True):
@@ -342,7 +365,7 @@ class Trials:
         for answers in seen.values():
             ordered = answers[::-1]
             first = {next((k for k, a in enumerate(ordered) if a[0] <= limit), None) for limit in FIRST_RISKS} - {None}
-            rows += [(*ordered[k], self.independent / len(first)) for k in first if k is not None]
+            rows += [(*ordered[k], EVERY_FIRST * self.independent / len(first)) for k in first if k is not None]
         columns = np.array(rows, dtype=float).reshape(-1, 4).T
         return columns[0], columns[1], columns[2].astype(bool), columns[3]
 
@@ -379,60 +402,84 @@ class Trials:
         shift = 0.0 if bend <= 0 else float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
         return correlation_at(best.step + shift)
 
-    def forecast(self, point: Point, correlation: float, line: tuple[float, float]) -> tuple[float, float] | None:
-        """Factors on simulated errors and on the standard deviation foretold that agree with what came of the windows."""
-        best = self.at(point)
-        declared = recalibrated(best.risk, line)
-        fixed = best.stated & (declared <= FORECAST_RISK)
-        if fixed.sum() < 20:
+    def covariance_factor(self, best: Outcome) -> float | None:
+        """Factor from the computed covariance to the declared one, by what came of the windows that would be declared; None where these are too few to tell."""
+        fixed = best.fixed
+        return fit_covariance_factor(best.squares[fixed], self.independent) if fixed.sum() >= FEWEST_FORETOLD else None
+
+    def forecast(self, best: Outcome, point: Point, correlation: float) -> tuple[float, float, float] | None:
+        """Level of error of simulated flights, and what fixes are off by, that agree with what came of the windows."""
+        fixed = self._within(FORECAST_RISK, best.line)
+        if sum(map(len, fixed)) < FEWEST_FORETOLD:
             return None
-        observed, rms = float(fixed.mean()), float(np.sqrt(np.mean(best.error_m[fixed] ** 2)))
+        law = self._foretold(fixed, point, correlation, best.line)
+        # Without the tests of misfit, as what was seen.
+        observed = float(best.fixed.mean())
         total = sum(len(part.windows) for part in self.parts)
-        keep = min(1.0, FORECAST_WINDOWS / total)
-        shares, variance = [], np.nan
+        keep = max(1, round(total / FORECAST_WINDOWS))
+        tracks = [[Track(x, y, v) for x, y, v in part.windows[::keep]] for part in self.parts]
+        shares: list[float] = []
         for level in FORECAST_LEVELS:
-            found = []
-            for k, ((grid, distance), part) in enumerate(zip(self.maps(point.share), self.parts, strict=True)):
-                some = part.windows[:: max(1, round(1 / keep))]
-                if not some:
+            fixes: list[bool] = []
+            for k, (grid, distance) in enumerate(self.maps(point.share)):
+                if not tracks[k]:
                     continue
-                model = modelled(grid, distance, correlation, line, (level, 1.0))
-                tracks = [Track(x, y, v) for x, y, v in some]
-                found += predict_many(
-                    model,
-                    tracks,
-                    half_width=self._half,
-                    tolerance_m=self.settings.tolerance_m,
-                    max_risk=FORECAST_RISK,
-                    flights=1,
-                    seed=k,
-                    progress=self.steps.waited_for,
-                )
-            known = [one for one in found if one is not None]
-            shares.append(float(np.mean([one.fix_probability for one in known])))
-            # What is foretold where a fix is to be expected, as what was seen is of the windows that were fixed.
-            foretold = [float(np.trace(one.covariance_m2)) for one in known]
-            traces = [one for one in foretold if one <= self.settings.tolerance_m**2]
-            variance = float(np.mean(traces)) if traces else variance
+                model = modelled(grid, distance, correlation, best.line, (level, 1.0))
+                found = self._predicted(model, tracks[k], flights=1, seed=k)
+                fixes += [one.fix_probability > 0 for one in found if one is not None]
+            shares.append(float(np.mean(fixes)))
             self.steps.add(1.0)
             if shares[-1] <= observed:
                 break
-        if not variance > 0:
-            return None
         logs = np.log(FORECAST_LEVELS[: len(shares)])
-        order = np.argsort(shares)
-        level = float(np.exp(np.interp(observed, np.array(shares)[order], logs[order])))
-        return level, rms / float(np.sqrt(variance))
+        level = float(np.exp(np.interp(observed, shares[::-1], logs[::-1])))
+        return (level, *law)
+
+    def _foretold(
+        self, fixed: list[list[int]], point: Point, correlation: float, line: tuple[float, float]
+    ) -> tuple[float, float]:
+        """Spread and registration of the windows that were fixed."""
+        rows: list[tuple[float, float, float]] = []
+        for (grid, distance), part, some, outcome in zip(
+            self.maps(point.share), self.parts, fixed, self.whole, strict=True
+        ):
+            windows = [part.windows[i] for i in some]
+            if not windows:
+                continue
+            model = modelled(grid, distance, correlation, line)
+            found = self._predicted(model, [Track(x, y, v) for x, y, v in windows], flights=0, seed=0)
+            for one, error, (x, y, _) in zip(found, outcome.error_m[some], windows, strict=True):
+                away = float(np.nanmean(nearest(part.distance, part.axes, x, y)))
+                if one is not None:
+                    rows.append(
+                        (float(np.trace(one.covariance_m2)), away, min(float(error), self.settings.tolerance_m))
+                    )
+        trace, distance_m, error_m = np.array(rows).T
+        return fit_forecast(trace, distance_m, error_m, self.independent)
+
+    def _predicted(self, model: GridMap, tracks: list[Track], flights: int, seed: int) -> list[Prediction | None]:
+        """What is foretold of planned windows on a map."""
+        return predict_many(
+            model,
+            tracks,
+            half_width=self._half,
+            tolerance_m=self.settings.tolerance_m,
+            max_risk=FORECAST_RISK,
+            misfit_threshold=np.inf,
+            flights=flights,
+            seed=seed,
+            progress=self.steps.waited_for,
+        )
 
     def misfit_threshold(self, point: Point, correlation: float, line: tuple[float, float]) -> float | None:
         """Log evidence that an effect must gain so that a few percent of the right fixes are refused; None where these are too few to tell."""
-        gains = []
+        gains: list[float] = []
         # Only what would be declared is tested.
         fixed = self._within(2 * FORECAST_RISK, line)
         for (grid, distance), tracks, away, some in zip(
             self.maps(point.share), self._tracks, self._offsets, fixed, strict=True
         ):
-            if not some:
+            if not some or len(gains) >= ENOUGH_FIXES:
                 continue
             model = modelled(grid, distance, correlation, line)
             fixes = match_posterior_many(

@@ -50,6 +50,9 @@ pub struct MapErrorModel {
     /// How often short tracks are wrong whatever their risk says; `None` where that was not learnt.
     #[serde(default)]
     pub lapses: Option<Lapses>,
+    /// Factor on the covariance that the posterior computes of a fix, to the one that is declared; `None` where that was not learnt.
+    #[serde(default)]
+    pub covariance_factor: Option<f64>,
 }
 
 /// How often a track shorter than those that risks were learnt on is wrong, whatever the posterior says of it.
@@ -133,6 +136,16 @@ pub struct Forecast {
     pub level: f64,
     /// Standard deviation of fixes over that which the local information gives.
     pub spread: f64,
+    /// Standard deviation, per axis, of what no information takes away, in units of the distance to the data.
+    #[serde(default)]
+    pub registration: f64,
+}
+
+impl Default for Forecast {
+    /// As the stated errors and the local information have it.
+    fn default() -> Self {
+        Self { level: 1.0, spread: 1.0, registration: 0.0 }
+    }
 }
 
 impl Forecast {
@@ -143,6 +156,7 @@ impl Forecast {
     pub fn validate(&self) -> Result<()> {
         require_not_negative("error model forecast level", self.level)?;
         require_positive("error model forecast spread", self.spread)?;
+        require_spread("error model forecast registration", self.registration)?;
         Ok(())
     }
 }
@@ -222,6 +236,12 @@ impl MapErrorModel {
         }
         if let Some(lapses) = &self.lapses {
             lapses.validate()?;
+        }
+        if let Some(factor) = self.covariance_factor {
+            require_positive(
+                "error model covariance_factor",
+                require_spread("error model covariance_factor", factor)?,
+            )?;
         }
         match &self.distance_m {
             DistanceLayer::Constant(d) => {

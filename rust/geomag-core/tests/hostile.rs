@@ -68,6 +68,7 @@ fn lengths_and_scales_longer_than_the_earth_are_refused() {
         recalibration: None,
         forecast: None,
         lapses: None,
+        covariance_factor: None,
     };
     refused(map().with_error_model(Some(wide)), "distance_m");
     let track = Track::new(vec![300.0, 400.0, 500.0], vec![300.0; 3], vec![1.0; 3], None).unwrap();

@@ -387,14 +387,14 @@ impl PyGridMap {
     /// sigma; that of the mean over a batch over that of a sample; misfit of crossing lines, value units; displacement of the map's
     /// features and the length over which it changes, both in distances to the data. Where one is given the others have their
     /// defaults; without any the navigator uses its own. `recalibration` (slope, intercept) is a line in log-odds from the risk that the
-    /// posterior computes to the one that is declared; `forecast` the factor on the map's errors in simulated flights and that on
-    /// the standard deviation foretold (`predict_many`). `lapses` (share, metres) makes tracks shorter than that length riskier: of those of length l a
+    /// posterior computes to the one that is declared; `forecast` (level, spread, registration) says how planned flights fare (`predict_many`): level is a factor on the map's
+    /// errors in simulated flights, spread one on the standard deviation that the local information gives, and registration, in distances to the data, what no information takes away, per axis. `covariance_factor` leads from the covariance that the posterior computes of a fix to the one that is declared. `lapses` (share, metres) makes tracks shorter than that length riskier: of those of length l a
     /// share times ((metres / l)^2 - 1) is taken to be wrong whatever the posterior says. `misfit_threshold` is the log evidence that an effect which was not told must gain for a fix to be
     /// rejected, as in `match_posterior`.
     #[pyo3(signature = (*, nu, scale_spread, correlation, registration, distance_m, sample_factor = None,
                         batch_factor = None, crossover = None, registration_m_per_d = None, registration_length = None,
                         recalibration = None, forecast = None, layout = "given",
-                        misfit_threshold = None, lapses = None))]
+                        misfit_threshold = None, lapses = None, covariance_factor = None))]
     #[allow(clippy::too_many_arguments)] // one each, keyword-only
     fn with_error_model(
         &self,
@@ -409,10 +409,11 @@ impl PyGridMap {
         registration_m_per_d: Option<f64>,
         registration_length: Option<f64>,
         recalibration: Option<(f64, f64)>,
-        forecast: Option<(f64, f64)>,
+        forecast: Option<ForecastNumbers>,
         layout: &str,
         misfit_threshold: Option<f64>,
         lapses: Option<(f64, f64)>,
+        covariance_factor: Option<f64>,
     ) -> PyRes<Self> {
         let layer = if let Ok(constant) = distance_m.extract::<f64>() {
             DistanceLayer::Constant(constant)
@@ -435,7 +436,7 @@ impl PyGridMap {
             registration_length: registration_length.unwrap_or(usual.registration_length),
         });
         let recalibration = recalibration.map(|(slope, intercept)| Recalibration { slope, intercept });
-        let forecast = forecast.map(|(level, spread)| Forecast { level, spread });
+        let forecast = forecast.map(Forecast::from);
         let lapses = lapses.map(|(share, length_m)| Lapses { share, length_m });
         let model = MapErrorModel {
             nu,
@@ -448,6 +449,7 @@ impl PyGridMap {
             forecast,
             misfit_threshold,
             lapses,
+            covariance_factor,
         };
         Ok(self.with_model(Some(model))?)
     }
@@ -488,10 +490,13 @@ impl PyGridMap {
             out.set_item("recalibration", (line.slope, line.intercept))?;
         }
         if let Some(forecast) = &model.forecast {
-            out.set_item("forecast", (forecast.level, forecast.spread))?;
+            out.set_item("forecast", (forecast.level, forecast.spread, forecast.registration))?;
         }
         if let Some(lapses) = &model.lapses {
             out.set_item("lapses", (lapses.share, lapses.length_m))?;
+        }
+        if let Some(factor) = model.covariance_factor {
+            out.set_item("covariance_factor", factor)?;
         }
         if let Some(threshold) = model.misfit_threshold {
             out.set_item("misfit_threshold", threshold)?;
@@ -737,10 +742,11 @@ impl PyGridMap {
             optional("registration_m_per_d")?,
             optional("registration_length")?,
             pair("recalibration")?,
-            pair("forecast")?,
+            model.get_item("forecast")?.map(|v| v.extract()).transpose()?,
             "values",
             optional("misfit_threshold")?,
             pair("lapses")?,
+            optional("covariance_factor")?,
         )
     }
 
@@ -764,6 +770,22 @@ impl PyGridMap {
             },
             if self.inner.holes() > 0 { format!(", {} holes", self.inner.holes()) } else { String::new() },
         )
+    }
+}
+
+/// Level, spread and registration of a forecast, or the first two, which is no registration.
+#[derive(FromPyObject)]
+enum ForecastNumbers {
+    Law(f64, f64, f64),
+    Factors(f64, f64),
+}
+
+impl From<ForecastNumbers> for Forecast {
+    fn from(numbers: ForecastNumbers) -> Self {
+        match numbers {
+            ForecastNumbers::Law(level, spread, registration) => Self { level, spread, registration },
+            ForecastNumbers::Factors(level, spread) => Self { level, spread, ..Self::default() },
+        }
     }
 }
 

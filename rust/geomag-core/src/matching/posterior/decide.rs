@@ -86,10 +86,12 @@ pub(super) fn answer(problem: &Problem<'_>, track: &Track, posterior: &Posterior
     }
     // The covariance is about the answer, not about the posterior's mean, so that it bounds the answer's own error.
     let (shift_e, shift_n) = (mean[0] - centre[0], mean[1] - centre[1]);
+    let factor = problem.covariance_factor();
     let covariance = [
         [second[0] + shift_e * shift_e, second[1] + shift_e * shift_n],
         [second[1] + shift_e * shift_n, second[2] + shift_n * shift_n],
-    ];
+    ]
+    .map(|row| row.map(|v| factor * v));
     Fix {
         covariance_m2: Some(covariance),
         risk: Some(risk),

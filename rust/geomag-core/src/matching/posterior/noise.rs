@@ -129,6 +129,8 @@ pub(super) struct Noise {
     /// How computed risks are to be read.
     pub recalibration: Option<Recalibration>,
     pub lapses: Option<Lapses>,
+    /// Factor from computed covariances to declared ones.
+    pub covariance_factor: Option<f64>,
     /// How planned flights fare.
     pub forecast: Option<Forecast>,
 }
@@ -235,6 +237,7 @@ impl Noise {
             registration,
             recalibration: model.and_then(|m| m.recalibration),
             lapses: model.and_then(|m| m.lapses),
+            covariance_factor: model.and_then(|m| m.covariance_factor),
             forecast: model.and_then(|m| m.forecast),
         })
     }

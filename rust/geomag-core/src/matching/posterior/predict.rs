@@ -21,7 +21,8 @@ pub struct Prediction {
     /// Cramer-Rao bound of the newest position: white normal errors of the stated size, bias and the other nuisance
     /// parameters unknown; square metres, east-north.
     pub bound_m2: [[f64; 2]; 2],
-    /// Expected covariance of the fix: the bound with tails, correlation and registration; square metres, east-north.
+    /// Expected covariance of the fix, square metres, east-north: the mean of those that the simulated flights were fixed with; where none was (or none
+    /// was flown), the bound with tails, correlation and registration.
     pub covariance_m2: [[f64; 2]; 2],
     /// Number of samples after which twice the expected standard deviation is within the tolerance; `None` if never.
     pub samples_to_fix: Option<usize>,
@@ -91,7 +92,7 @@ fn predict_interruptible(
         }
     }
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
-    let (mut fixed, mut wrong) = (0_usize, 0_usize);
+    let (mut fixed, mut wrong, mut sum) = (0_usize, 0_usize, [[0.0; 2]; 2]);
     for _ in 0..flights {
         monitor.advance(0, 0)?;
         let offset =
@@ -118,11 +119,14 @@ fn predict_interruptible(
             fixed += 1;
             let [east, north] = field.displacement_m(planned.newest(), [fix.x, fix.y]);
             wrong += usize::from(east.hypot(north) > problem.tolerance_m);
+            for (total, v) in sum.iter_mut().flatten().zip(fix.covariance_m2.iter().flatten().flatten()) {
+                *total += v;
+            }
         }
     }
     Ok(Prediction {
         bound_m2: expected.bound,
-        covariance_m2: expected.covariance,
+        covariance_m2: if fixed > 0 { sum.map(|row| row.map(|v| v / fixed as f64)) } else { expected.covariance },
         samples_to_fix,
         fix_probability: if flights > 0 { fixed as f64 / flights as f64 } else { f64::NAN },
         wrong_share: if fixed > 0 { wrong as f64 / fixed as f64 } else { f64::NAN },

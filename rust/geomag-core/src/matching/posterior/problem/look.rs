@@ -5,7 +5,6 @@ use super::super::kernel::{self, KernelScratch};
 use super::super::noise::ErrorLevel;
 use super::channel::PreparedChannel;
 use super::ready::Problem;
-use crate::map_error::Forecast;
 
 /// What is to be expected of a track: see [`Problem::expected`].
 pub(in super::super) struct Expected {
@@ -99,7 +98,7 @@ impl Problem<'_> {
             [[nn / determinant, -en / determinant], [-en / determinant, ee / determinant]]
         };
         let registration = share * (noise.registration * distance).powi(2);
-        let forecast = noise.forecast.unwrap_or(Forecast { level: 1.0, spread: 1.0 });
+        let forecast = noise.forecast.unwrap_or_default();
         // What the Student-t estimate loses against the normal one where errors are normal: with nu = 3 some 10 %, with 10 some 2 %.
         let loss = 1.0 + 1.0 / (level.nu * level.nu);
         let mut covariance = invert(detail.information, temper);
@@ -111,6 +110,7 @@ impl Problem<'_> {
             for v in row.iter_mut() {
                 *v *= forecast.spread * forecast.spread;
             }
+            row[d] += (forecast.registration * distance).powi(2);
         }
         Expected {
             bound: invert(stated.information, 1.0),
@@ -120,6 +120,11 @@ impl Problem<'_> {
             sensor_sigma: noise.sensor_variance.sqrt(),
             spread: noise.spread,
         }
+    }
+
+    /// Factor from the computed covariance to the one that is declared: that of the most careful of the channels' maps.
+    pub fn covariance_factor(&self) -> f64 {
+        self.channels.iter().filter_map(|c| c.noise.covariance_factor).reduce(f64::max).unwrap_or(1.0)
     }
 
     /// The risk to declare for a computed one: as the most careful of the channels' maps has it.
