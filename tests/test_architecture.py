@@ -76,7 +76,7 @@ POSTERIOR = [
 
 #: The same of `navigation/navigator`.
 NAVIGATOR = [
-    ["ins", "motion", "states", "outcome", "integrity", "doubt"],
+    ["ins", "motion", "owed", "states", "outcome", "integrity", "doubt"],
     ["plan", "options", "law", "batch", "filter", "smooth", "watch"],
     ["state"],
     ["carry", "judge", "measure", "correct", "matcher"],

@@ -697,6 +697,7 @@ class _NavigatorOptions(TypedDict, total=False):
     linear_m: float | None
     integrity_risk: float
     terms_covariance: ArrayLike | None
+    gravity: bool
     matcher: MatcherPlan | Literal["default"] | None
     method: Literal["navigator", "ekf", "rbpf"]
     latitude_deg: float

@@ -21,6 +21,8 @@ CLEARLY = 2.0
 DECIDING = 2
 #: Nodes further from a datum than so many line spacings are holes.
 REACH = 4.0
+#: Nodes of a map that is made here are holes where the distance to the data on either side is more than so many line spacings.
+MAP_REACH = 2.5
 
 
 @dataclass
@@ -51,7 +53,7 @@ class Fold:
         """Grid `lines`, and keep what of `windows` is on that map."""
         reach = REACH * spacing_m
         surface, distances = grid_lines(lines, axes, method, weight, reach, progress)
-        surface = np.where(distances.nearest <= reach, surface, np.nan)
+        surface = np.where(distances.either_side <= MAP_REACH * spacing_m, surface, np.nan)
         base = GridMap(surface, *axes.coordinates(), geographic=lines[0].geographic)
         fold = Fold(lines, left, axes, base, distances.either_side, [])
         fold.windows = fold.covered(windows)

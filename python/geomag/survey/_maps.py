@@ -12,7 +12,7 @@ from geomag._errors import InvalidInputError
 from geomag._geomag import GridMap, MapStack
 from geomag._ranges import above
 from geomag.continuation import continue_to
-from geomag.survey._folds import REACH
+from geomag.survey._folds import MAP_REACH, REACH
 from geomag.survey._heights import Drape
 from geomag.survey._learn import learn_errors
 from geomag.survey._lines import Array, Lines
@@ -226,7 +226,7 @@ def map_from_lines(
     if grid is None:
         axes = Axes.over(lines, spacing)
         weight = weight_of(lines, axes, model.smoothing_m, model.line_spacing_m)
-        reach = 2.5 * model.line_spacing_m if max_distance_m is None else max_distance_m
+        reach = MAP_REACH * model.line_spacing_m if max_distance_m is None else max_distance_m
         steps = Steps(progress, 1.0)
         drape = None if height_m is None else Drape.under(lines, axes, method)
         flown = [lines] if drape is None else drape.brought([lines], [], weight)[0]

@@ -34,6 +34,9 @@ macro_rules! keyword {
     (maybe_pair $key:ident $value:ident) => {
         Some(pair($key, $value)?)
     };
+    (flag $key:ident $value:ident) => {
+        $value.extract::<bool>().map_err(|_| invalid($key, "True or False", $value.get_type()))?
+    };
     (covariance $key:ident $value:ident) => {
         covariance($value)?
     };

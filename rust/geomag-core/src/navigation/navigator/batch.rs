@@ -9,6 +9,7 @@ use crate::bounds::{require_place, require_spread, require_values};
 use serde::{Deserialize, Serialize};
 
 use super::law::{MapLaw, MapPlace};
+use super::owed::Owed;
 
 /// Most readings that are kept of a batch.
 const MOST: usize = 64;
@@ -34,6 +35,8 @@ pub(super) struct Reading {
     pub sigma: f64,
     /// What the coefficients of the vehicle's own field are multiplied by; empty without any.
     pub terms: Vec<f64>,
+    /// What the errors of the INS add to it.
+    pub owed: Owed,
 }
 
 /// Readings waiting to be used.
@@ -84,6 +87,7 @@ impl Batch {
                     && require_values("reading", &[r.value]).is_ok()
                     && require_spread("sigma", r.sigma).is_ok()
                     && r.height_m.is_none_or(f64::is_finite)
+                    && r.owed.is_sound()
                     && r.terms.len() == terms
                     && require_values("terms", &r.terms).is_ok()
             })

@@ -73,8 +73,7 @@ impl Navigator {
             let raw = (now.heading_rad - before.heading_rad) % std::f64::consts::TAU;
             raw - std::f64::consts::TAU * (raw / std::f64::consts::TAU).round()
         };
-        let latitude_rad =
-            if self.field.geographic() { before.y } else { self.state.options.latitude_deg }.to_radians();
+        let latitude_rad = self.latitude_rad(before.y);
         let radii_m = radii(latitude_rad);
         let place = [before.x, before.y];
         let distance = self.law.distance_m(self.field.as_ref(), place[0], place[1]);
@@ -124,10 +123,15 @@ impl Navigator {
             each(&phi, &factors, &noise);
         }
     }
+
+    /// Latitude of a place on the map.
+    pub(super) fn latitude_rad(&self, y: f64) -> f64 {
+        if self.field.geographic() { y } else { self.state.options.latitude_deg }.to_radians()
+    }
 }
 
 /// Radii of curvature to the east and to the north at a latitude, metres.
-fn radii(latitude_rad: f64) -> [f64; 2] {
+pub(super) fn radii(latitude_rad: f64) -> [f64; 2] {
     let [east, north] = crate::frame::metres_per_degree(latitude_rad.to_degrees());
     [east.to_degrees() / libm::cos(latitude_rad), north.to_degrees()]
 }

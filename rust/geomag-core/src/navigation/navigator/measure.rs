@@ -1,8 +1,10 @@
 //! Taking readings in: gathered, weighed, linearised, used.
 
 use super::batch::Reading;
+use super::carry::radii;
 use super::motion::{POSITION, VELOCITY};
 use super::outcome::{Indicated, NavigatorOutcome};
+use super::owed::Owed;
 use super::state::{Navigator, Newest};
 use super::states::{BIAS, REGISTRATION, STATES};
 use super::watch::TimedSample;
@@ -18,6 +20,15 @@ impl Navigator {
     /// What the map says at an indicated place; NaN where it says nothing.
     pub(super) fn expected(&self, indicated: &Indicated) -> f64 {
         value_at(self.field.as_ref(), self.field.wrap_x(indicated.x), indicated.y, indicated.height_m)
+    }
+
+    /// What the errors of the INS add to a reading that is taken now.
+    fn owed(&self, now: &Newest) -> Owed {
+        if !self.state.options.gravity {
+            return Owed::default();
+        }
+        let latitude_rad = self.latitude_rad(now.y);
+        Owed::of_gravity(latitude_rad, radii(latitude_rad), now.velocity_m_s)
     }
 
     /// Gathers a reading and uses the batch once it is full.
@@ -43,7 +54,9 @@ impl Navigator {
                     self.state.batch.clear();
                 } else {
                     self.state.heard_s = Some(now.time_s);
-                    let own = own_field(&self.state.filter.mean()[STATES..], terms);
+                    let owed = self.owed(now);
+                    let mean = self.state.filter.mean();
+                    let own = own_field(&mean[STATES..], terms) + owed.by(mean, 0.0);
                     let reading = Reading {
                         value,
                         time_s: now.time_s,
@@ -52,6 +65,7 @@ impl Navigator {
                         height_m,
                         sigma: place.sigma,
                         terms: terms.to_vec(),
+                        owed,
                     };
                     self.state.batch.push(reading, &self.law, place);
                     if let Some(plan) = self.state.options.matcher {
@@ -99,7 +113,8 @@ impl Navigator {
         let mut chosen = std::mem::take(&mut self.chosen);
         let mut slopes = std::mem::take(&mut self.slopes);
         let coefficients = &mean[STATES..];
-        let expected = |r: &Reading| at(r, [0.0; 2]) + own_field(coefficients, &r.terms);
+        let owed_by = |r: &Reading| r.owed.by(mean, now.time_s - r.time_s);
+        let expected = |r: &Reading| at(r, [0.0; 2]) + own_field(coefficients, &r.terms) + owed_by(r);
         self.state.batch.choose(now.time_s, &self.law, noise, expected, &mut chosen);
         let readings = &self.state.batch.readings;
         let count = chosen.readings.len();
@@ -123,21 +138,25 @@ impl Navigator {
         };
         let result = plane.map(|plane| {
             let [east, north] = plane.slope;
+            let weighed = |of: &dyn Fn(&Reading) -> f64| -> f64 {
+                chosen.readings.iter().map(|(k, weight)| weight * of(&readings[*k])).sum()
+            };
+            let age = |r: &Reading| now.time_s - r.time_s;
             slopes.clear();
             slopes.extend([
                 (POSITION, -east),
-                (POSITION + 1, -north),
-                (VELOCITY, east * chosen.age_s),
-                (VELOCITY + 1, north * chosen.age_s),
+                (POSITION + 1, weighed(&|r| r.owed.north) - north),
+                (VELOCITY, east * chosen.age_s + weighed(&|r| r.owed.velocity[0])),
+                (VELOCITY + 1, north * chosen.age_s + weighed(&|r| r.owed.velocity[1] - r.owed.north * age(r))),
                 (BIAS, 1.0),
                 (REGISTRATION, east),
                 (REGISTRATION + 1, north),
             ]);
-            let mut own = 0.0;
+            let mut own = weighed(&owed_by);
             for (term, coefficient) in coefficients.iter().enumerate() {
-                let mean = chosen.readings.iter().map(|(k, weight)| weight * readings[*k].terms[term]).sum::<f64>();
-                slopes.push((STATES + term, mean));
-                own += coefficient * mean;
+                let slope = weighed(&|r| r.terms[term]);
+                slopes.push((STATES + term, slope));
+                own += coefficient * slope;
             }
             let innovation = chosen.value - plane.mean - mean[BIAS] - own;
             let batched = self.state.batch.length_m > 0.0;

@@ -19,6 +19,7 @@ mod ins;
 mod integrity;
 mod motion;
 mod outcome;
+mod owed;
 mod states;
 
 mod batch;

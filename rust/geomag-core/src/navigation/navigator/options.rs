@@ -72,6 +72,9 @@ macro_rules! navigator_options {
                 (terms_covariance: matrix = None; "array of shape (m, m), optional";
                     "Covariance of the coefficients of terms that the readings contain besides the field (the vehicle's own: Tolles-Lawson),"
                     "which are then states of the filter; `terms` of a step are what they are multiplied by.")
+                (gravity: flag = false; "bool";
+                    "The readings are gravity anomalies in mGal, reduced with the INS's latitude (normal gravity) and velocity (Eotvos effect):"
+                    "what its errors put into them is then part of the measurement. Not with method 'rbpf'.")
                 (matcher: matcher = "default"; "MatcherPlan, 'default' or None";
                     "The matcher beside the filter, for a start known to kilometres, for a lost lock and a look round now and then; None for"
                     "none.")

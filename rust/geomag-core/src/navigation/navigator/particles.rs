@@ -48,6 +48,9 @@ impl Particles {
         if options.terms() > 0 {
             return Err(Error::invalid("terms_covariance", "none with method 'rbpf'", options.terms()));
         }
+        if options.gravity {
+            return Err(Error::invalid("gravity", "False with method 'rbpf'", "True"));
+        }
         let frame = Navigator::new(field, options)?;
         let mut random = Random::new(SEED);
         let c = frame.options().covariance_m2;
