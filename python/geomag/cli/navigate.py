@@ -81,6 +81,7 @@ def navigate(
     integrity_risk: Annotated[
         float | None, typer.Option(callback=share, help=explained(Navigator, "integrity_risk"))
     ] = None,
+    gravity: Annotated[bool, typer.Option("--gravity", help=explained(Navigator, "gravity"))] = False,
     map_sigma: Annotated[
         float | None,
         typer.Option(
@@ -124,7 +125,7 @@ def navigate(
     # What is not told stands at the navigator's own defaults.
     options: dict[str, Any] = {
         "ins": model, "position_sigma_m": position_sigma_m, "reading_sigma": reading_sigma, "bias_sigma": bias_sigma,
-        "integrity_risk": integrity_risk,
+        "integrity_risk": integrity_risk, "gravity": gravity,
     }  # fmt: skip
     columns = {"time_s": time, "x": x, "y": y, "value": value}
     raw = _raw.Raw(main_field, date, base, height_m, map_height_m)
