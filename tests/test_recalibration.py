@@ -137,6 +137,11 @@ def test_spread_and_registration_of_what_is_foretold_are_found():
         found = fit_forecast(local**2, distance, np.sqrt(variance * rng.exponential(1.0, local.size)), 1.0)
         again = found[0] ** 2 * local**2 + 2 * (found[1] * distance) ** 2
         np.testing.assert_allclose(again, variance, rtol=0.2)
+    # Data on the spot, or no error at all: still two numbers.
+    for away, error in ((0.0, 20.0), (100.0, 0.0), (0.0, 0.0)):
+        found = fit_forecast(np.full(30, 400.0), np.full(30, away), np.full(30, error), 1.0)
+        assert np.all(np.isfinite(found))
+        assert found[0] > 0
     # Information that explains nothing is still believed to be worth something where the field is flat.
     spread, _ = fit_forecast(local[:200] ** 2, distance[:200], 40.0 * np.sqrt(rng.exponential(1.0, 200)), 0.5)
     assert 0.1 < spread < 1

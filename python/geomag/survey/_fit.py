@@ -117,12 +117,9 @@ def fit_forecast(trace_m2: Array, distance_m: Array, error_m: Array, weight: flo
         prior = 0.5 * (logs[0] / SPREAD_PRIOR) ** 2
         return float(np.mean(np.log(variance) + error_m**2 / variance) + prior / (weight * error_m.size))
 
-    size = float(np.mean(error_m**2))
-    shares = (0.1, 0.5, 0.9)
-    starts = [
-        0.5 * np.log([share * size / np.mean(trace_m2), (1 - share) * size / (2 * np.mean(distance_m**2))])
-        for share in shares
-    ]
+    least = 1e-6  # a millimetre: data on the spot, or fixes without an error
+    size, local, away = (max(float(np.mean(v)), least) for v in (error_m**2, trace_m2, 2 * distance_m**2))
+    starts = [0.5 * np.log([share * size / local, (1 - share) * size / away]) for share in (0.1, 0.5, 0.9)]
     spread, registration = np.exp(min((minimise(loss, start) for start in starts), key=loss))
     return float(spread), float(registration)
 

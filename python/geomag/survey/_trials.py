@@ -409,10 +409,9 @@ class Trials:
 
     def forecast(self, best: Outcome, point: Point, correlation: float) -> tuple[float, float, float] | None:
         """Level of error of simulated flights, and what fixes are off by, that agree with what came of the windows."""
-        fixed = self._within(FORECAST_RISK, best.line)
-        if sum(map(len, fixed)) < FEWEST_FORETOLD:
+        law = self._foretold(point, correlation, best.line)
+        if law is None:
             return None
-        law = self._foretold(fixed, point, correlation, best.line)
         # Without the tests of misfit, as what was seen.
         observed = float(best.fixed.mean())
         total = sum(len(part.windows) for part in self.parts)
@@ -427,18 +426,18 @@ class Trials:
                 model = modelled(grid, distance, correlation, best.line, (level, 1.0))
                 found = self._predicted(model, tracks[k], flights=1, seed=k)
                 fixes += [one.fix_probability > 0 for one in found if one is not None]
-            shares.append(float(np.mean(fixes)))
+            shares.append(float(np.mean(fixes)) if fixes else 0.0)
             self.steps.add(1.0)
             if shares[-1] <= observed:
                 break
         logs = np.log(FORECAST_LEVELS[: len(shares)])
-        level = float(np.exp(np.interp(observed, shares[::-1], logs[::-1])))
+        order = np.argsort(shares)
+        level = float(np.exp(np.interp(observed, np.array(shares)[order], logs[order])))
         return (level, *law)
 
-    def _foretold(
-        self, fixed: list[list[int]], point: Point, correlation: float, line: tuple[float, float]
-    ) -> tuple[float, float]:
-        """Spread and registration of the windows that were fixed."""
+    def _foretold(self, point: Point, correlation: float, line: tuple[float, float]) -> tuple[float, float] | None:
+        """Spread and registration of the windows that would be declared; None where these are too few to tell."""
+        fixed = self._within(FORECAST_RISK, line)
         rows: list[tuple[float, float, float]] = []
         for (grid, distance), part, some, outcome in zip(
             self.maps(point.share), self.parts, fixed, self.whole, strict=True
@@ -454,6 +453,8 @@ class Trials:
                     rows.append(
                         (float(np.trace(one.covariance_m2)), away, min(float(error), self.settings.tolerance_m))
                     )
+        if len(rows) < FEWEST_FORETOLD:
+            return None
         trace, distance_m, error_m = np.array(rows).T
         return fit_forecast(trace, distance_m, error_m, self.independent)
 
