@@ -26,8 +26,11 @@ impl Owed {
     /// Of a gravity anomaly in milligal, reduced by an INS that indicates this latitude and velocity.
     pub fn of_gravity(latitude_rad: f64, radii_m: [f64; 2], velocity_m_s: [f64; 2]) -> Self {
         let turning = 2.0 * EARTH_RATE_RAD_S * libm::cos(latitude_rad);
+        // The Eotvos effect of an eastward velocity changes with latitude too: a quarter of the whole for an aircraft at 60 degrees.
+        let eastward = 2.0 * EARTH_RATE_RAD_S * libm::sin(latitude_rad) * velocity_m_s[0];
+        let poleward = POLEWARD_M_S2 * libm::sin(2.0 * latitude_rad);
         Self {
-            north: -MGAL * POLEWARD_M_S2 * libm::sin(2.0 * latitude_rad) / radii_m[1],
+            north: -MGAL * (poleward + eastward) / radii_m[1],
             velocity: [
                 MGAL * (turning + 2.0 * velocity_m_s[0] / radii_m[0]),
                 MGAL * 2.0 * velocity_m_s[1] / radii_m[1],
