@@ -81,7 +81,7 @@ def navigate(
     integrity_risk: Annotated[
         float | None, typer.Option(callback=share, help=explained(Navigator, "integrity_risk"))
     ] = None,
-    gravity: Annotated[bool, typer.Option("--gravity", help=explained(Navigator, "gravity"))] = False,
+    gravity: Annotated[bool | None, typer.Option("--gravity", help=explained(Navigator, "gravity"))] = None,
     map_sigma: Annotated[
         float | None,
         typer.Option(

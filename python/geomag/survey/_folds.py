@@ -53,7 +53,7 @@ class Fold:
         """Grid `lines`, and keep what of `windows` is on that map."""
         reach = REACH * spacing_m
         surface, distances = grid_lines(lines, axes, method, weight, reach, progress)
-        surface = np.where(distances.either_side <= MAP_REACH * spacing_m, surface, np.nan)
+        surface = np.where(distances.within(MAP_REACH * spacing_m, axes), surface, np.nan)
         base = GridMap(surface, *axes.coordinates(), geographic=lines[0].geographic)
         fold = Fold(lines, left, axes, base, distances.either_side, [])
         fold.windows = fold.covered(windows)

@@ -235,7 +235,7 @@ def map_from_lines(
         )
         xs, ys = axes.coordinates()
         grid = GridMap(
-            np.where(distances.either_side <= reach, surface, np.nan),
+            np.where(distances.within(reach, axes), surface, np.nan),
             xs,
             ys,
             geographic=lines.geographic,

@@ -84,6 +84,11 @@ class Distances(NamedTuple):
         """Those of the nodes of a map to some points."""
         return Distances(*_distances_to_data(x, y, axes.x, axes.y, cell_m=axes.cell_m))
 
+    def within(self, reach_m: float, axes: Axes) -> npt.NDArray[np.bool_]:
+        """The nodes whose distance to either side is at most `reach_m`; and those of every cell with a datum, on grids wider than that."""
+        at_a_datum = self.nearest <= min(reach_m, float(np.hypot(*axes.cell_m)))
+        return np.asarray((self.either_side <= reach_m) | at_a_datum)
+
 
 def grid_lines(
     lines: list[Lines],
