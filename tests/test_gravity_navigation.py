@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ import geomag
 from geomag import synthetic
 
 INS = geomag.InsModel.navigation()
+OPTIONS = {
+    "ins": INS, "position_sigma_m": 50.0, "bias_sigma": 1.0, "bias_walk_sqrt_s": 0.0, "batch_m": 0.0, "matcher": None,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +42,8 @@ def voyages(sea, count=12):
             time_s, x, y, geographic=True, error=synthetic.draw_inertial_error(INS, rng, 50.0), ins=INS, seed=rng
         )
         raw = sea.sample(x, y) + rng.normal(0, 1.0, x.size) - reduction().correction(x, y, time_s)
-        speed = np.hypot(*shown.velocity_m_s.T) * 3600 / 1852
-        course_deg = np.degrees(np.arctan2(*shown.velocity_m_s.T))
-        anomaly = raw + reduction(speed_kn=speed, course_deg=course_deg).correction(shown.x, shown.y, None)
+        speed_kn, course_deg = geomag.reduction.in_knots(*shown.velocity_m_s.T)
+        anomaly = raw + reduction(speed_kn=speed_kn, course_deg=course_deg).correction(shown.x, shown.y, None)
         yield shown, np.where(time_s < 0, np.nan, anomaly), (x, y)
 
 
@@ -52,12 +56,7 @@ def navigated(sea, shown, anomaly, **options):
         velocity_m_s=shown.velocity_m_s,
         heading_deg=shown.heading_deg,
         readings=anomaly,
-        ins=INS,
-        position_sigma_m=50.0,
-        bias_sigma=1.0,
-        bias_walk_sqrt_s=0.0,
-        batch_m=0.0,
-        matcher=None,
+        **OPTIONS,
         **options,
     )
 
@@ -82,20 +81,9 @@ def test_an_anomaly_that_the_ins_reduced_tells_of_its_velocity_too(sea):
 
 
 def test_streamed_saved_and_whole_are_the_same(sea):
-    import pickle
-
     shown, anomaly, _ = next(iter(voyages(sea, 1)))
     whole = navigated(sea, shown, anomaly, gravity=True)
-    navigator = geomag.Navigator(
-        sea,
-        ins=INS,
-        position_sigma_m=50.0,
-        bias_sigma=1.0,
-        bias_walk_sqrt_s=0.0,
-        batch_m=0.0,
-        matcher=None,
-        gravity=True,
-    )
+    navigator = geomag.Navigator(sea, **OPTIONS, gravity=True)
     for k, time_s in enumerate(shown.time_s):
         value = None if np.isnan(anomaly[k]) else float(anomaly[k])
         place = float(time_s), float(shown.x[k]), float(shown.y[k])

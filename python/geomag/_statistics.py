@@ -7,6 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+#: Median of a chi-square of two degrees of freedom: of the normalised error squared of a position whose covariance is right.
+MEDIAN_NEES = 2 * math.log(2)
+
 
 def _log_choose(n: int, k: int) -> float:
     return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)

@@ -80,7 +80,17 @@ def _motion(
     radius = 6_371_008.8
     e = np.gradient(np.unwrap(np.radians(longitude)), time_s) * radius * np.cos(np.radians(latitude))
     n = np.gradient(np.radians(latitude), time_s) * radius
-    return np.hypot(e, n) / _KNOT_M_S, np.degrees(np.arctan2(e, n))
+    return in_knots(e, n)
+
+
+def in_knots(east: NDArray[np.float64], north: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Speed in knots and course in degrees of velocities in metres per second.
+
+    >>> from geomag.reduction import in_knots
+    >>> [round(float(v), 3) for v in in_knots(6.173, 0.0)]
+    [11.999, 90.0]
+    """
+    return np.hypot(east, north) / _KNOT_M_S, np.degrees(np.arctan2(east, north))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from geomag._statistics import wilson
+from geomag._statistics import MEDIAN_NEES, wilson
 from geomag.survey import limit_of_mean
 from geomag.survey._trials import NO_STATEMENT
 
@@ -25,8 +25,6 @@ TOGETHER = RISK_BINS[2:]
 LIMITS = (0.01, 0.02, 0.03, 0.05)
 #: Risks are counted as at least this in the log loss.
 LEAST_RISK = 1e-4
-#: Median of a chi-square of two degrees of freedom.
-MEDIAN_NEES = 2 * float(np.log(2))
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geomag import synthetic
 from geomag._geomag import GridMap, InsModel, Navigator, SlidingContour
-from geomag.reduction import GravityReduction
+from geomag._statistics import normalised_squares
+from geomag.reduction import GravityReduction, in_knots
 from geomag.reproduce import Table
 
 if TYPE_CHECKING:
@@ -57,32 +58,28 @@ class Voyage:
 
 
 @dataclass
-class Errors:
-    """Of every step of the leg, all legs one after another."""
+class Corrected:
+    """What the filter makes of the INS on the steps of the leg: what is left of the errors, (n, 12) in the order of `Inertial.error`, and what it declares."""
 
-    position_m: list[float] = field(default_factory=list)
-    square: list[float] = field(default_factory=list)
-    tilt_mrad: list[float] = field(default_factory=list)
-    heading_deg: list[float] = field(default_factory=list)
-    beyond: list[bool] = field(default_factory=list)
-    fixes: int = 0
+    left: Floats
+    covariance_m2: Floats
+    protection_level_m: Floats
+    fixes: int
 
 
 def reduced(voyage: Voyage, k: int, error: Floats) -> float:
     """Anomaly of the reading of a step, by the place and the velocity that the INS shows less `error` (metres, metres per second, east-north)."""
     shown = voyage.inertial
-    east, north = shown.velocity_m_s[k] - error[2:]
-    gravity = GravityReduction(
-        speed_kn=np.array([np.hypot(east, north) * 3600 / 1852]), course_deg=np.degrees([np.arctan2(east, north)])
-    )
+    speed_kn, course_deg = in_knots(*(shown.velocity_m_s[k : k + 1] - error[2:]).T)
+    gravity = GravityReduction(speed_kn=speed_kn, course_deg=course_deg)
     latitude = shown.y[k] - error[1] / 110_574.0
     return float(voyage.raw[k] + gravity.correction(shown.x[k : k + 1], np.array([latitude]), None)[0])
 
 
 def sail_on(
     grid: GridMap, voyage: Voyage, ins: InsModel, feed: tuple[bool, bool, bool], window: int, settings: dict[str, Any]
-) -> tuple[Errors, Errors]:
-    """Errors of the INS and of what the filter makes of it over the leg."""
+) -> Corrected:
+    """The voyage with what is fed back."""
     fixes, readings, told = feed
     navigator = Navigator(
         grid,
@@ -96,8 +93,10 @@ def sail_on(
         matcher=None,
     )
     contour = SlidingContour(grid, length=window, **settings)
-    shown, estimate, seen = voyage.inertial, np.zeros(4), 0
-    before, after = Errors(), Errors()
+    shown, estimate, seen, used = voyage.inertial, np.zeros(4), 0, 0
+    left: list[Floats] = []
+    covariance: list[Floats] = []
+    protection: list[float] = []
     for k in range(voyage.time_s.size):
         read = np.isfinite(voyage.raw[k])
         place = (float(voyage.time_s[k]), float(shown.x[k]), float(shown.y[k]))
@@ -108,20 +107,24 @@ def sail_on(
             seen += 1
             fix = contour.update(place[1], place[2], reduced(voyage, k, estimate))
             if seen % window == 0 and fix.ok:
-                after.fixes += navigator.correct(fix)[1]
-        state, covariance = navigator.state, navigator.covariance
+                used += navigator.correct(fix)[1]
+        state = navigator.state
         estimate = np.array(state[:4])
-        if voyage.time_s[k] < 0:
-            continue
-        true = shown.error[k]
-        for errors, left in ((before, true), (after, true - state[: true.size])):
-            errors.position_m.append(float(np.hypot(left[0], left[1])))
-            errors.tilt_mrad.append(1e3 * float(np.hypot(left[4], left[5])))
-            errors.heading_deg.append(abs(float(np.degrees(left[6]))))
-        left = (true - state[: true.size])[:2]
-        after.square.append(float(left @ np.linalg.solve(covariance[:2, :2], left)))
-        after.beyond.append(bool(np.hypot(*left) > step.protection_level_m))
-    return before, after
+        if voyage.time_s[k] >= 0:
+            left.append(shown.error[k] - state[: shown.error.shape[1]])
+            covariance.append(navigator.covariance[:2, :2])
+            protection.append(step.protection_level_m)
+    return Corrected(np.array(left), np.array(covariance), np.array(protection), used)
+
+
+def sizes(error: Floats) -> tuple[float, float, float]:
+    """Root mean square position error (metres), tilt (mrad) and heading error (degrees) of errors (n, 12)."""
+    squares = np.mean(error**2, axis=0)
+    return (
+        float(np.sqrt(squares[0] + squares[1])),
+        1e3 * float(np.sqrt(squares[4] + squares[5])),
+        float(np.degrees(np.sqrt(squares[6]))),
+    )
 
 
 def table(
@@ -136,21 +139,24 @@ def table(
         draws = [Voyage.of(leg, hours, ins, np.random.default_rng([seed, 66, i])) for i, leg in enumerate(some)]
         for name, feed in FEEDS.items():
             found = [sail_on(exact, voyage, ins, feed, window, settings[hours]) for voyage in draws]
-
-            def pair(what: str, digits: int, found: list[tuple[Errors, Errors]] = found) -> list[object]:
-                sizes = [[np.sqrt(np.mean(np.square(getattr(e, what)[-last:]))) for e in two] for two in found]
-                return [round(float(v), digits) if digits else round(float(v)) for v in np.median(sizes, axis=0)]
-
+            before = np.median([sizes(voyage.inertial.error[-last:]) for voyage in draws], axis=0)
+            after = np.median([sizes(one.left[-last:]) for one in found], axis=0)
+            place = [one.left[:, :2] for one in found]
+            squares = [np.mean(normalised_squares(e, one.covariance_m2)) for e, one in zip(place, found, strict=True)]
+            beyond = [np.mean(np.hypot(*e.T) > one.protection_level_m) for e, one in zip(place, found, strict=True)]
+            pairs = [
+                round(float(v), digits) if digits else round(float(v))
+                for two, digits in zip(zip(before, after, strict=True), (0, 3, 3), strict=True)
+                for v in two
+            ]
             rows.append(
                 [
                     hours,
                     name,
-                    *pair("position_m", 0),
-                    *pair("tilt_mrad", 3),
-                    *pair("heading_deg", 3),
-                    round(float(np.mean([np.mean(after.square) for _, after in found])), 2),
-                    f"{100 * np.mean([np.mean(after.beyond) for _, after in found]):.1f} %",
-                    sum(after.fixes for _, after in found),
+                    *pairs,
+                    round(float(np.mean(squares)), 2),
+                    f"{100 * np.mean(beyond):.1f} %",
+                    sum(one.fixes for one in found),
                 ]
             )
     columns = (

@@ -166,15 +166,16 @@ def run(context: Context) -> Report:
     def median(values: list[float]) -> object:
         return round(float(np.median(values))) if values else "-"
 
+    legs: dict[float, list[Leg]] = {}
     for hours in HOURS:
+        rng = np.random.default_rng([context.seed, 6, int(hours)])
+        legs[hours] = [sail(grid, rng, hours) for _ in range(trials)]
         for name, settings in options(hours).items():
-            rng = np.random.default_rng([context.seed, 6, int(hours)])
             single: dict[str, list[float]] = {"newest": [], "track": []}
             twice: dict[str, list[float]] = {"newest": [], "track": []}
             slides: dict[str, dict[str, list[float]]] = {}
             ins: list[float] = []
-            for _ in range(trials):
-                leg = sail(grid, rng, hours)
+            for leg in legs[hours]:
                 ins += [metres(grid, a, b) for a, b in zip(leg.indicated, leg.truth, strict=True)]
                 one, two = batches(grid, leg, settings, 1), batches(grid, leg, settings, 8)
                 for into, found in ((single, one), (twice, two)):
@@ -221,10 +222,6 @@ def run(context: Context) -> Report:
         "legs": f"{trials} a case, {SAMPLES} samples",
         "seed": context.seed,
     }
-    legs: dict[float, list[Leg]] = {}
-    for hours in HOURS:
-        rng = np.random.default_rng([context.seed, 6, int(hours)])
-        legs[hours] = [sail(grid, rng, hours) for _ in range(trials)]
     recommended = {hours: options(hours)["recommended"] for hours in HOURS}
     loop = _gravity_loop.table(grid, legs, WINDOW, recommended, context.seed)
     context.say("  E6: the loop: done")

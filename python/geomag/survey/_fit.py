@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from geomag._statistics import MEDIAN_NEES
 from geomag.survey._lines import Array
 from geomag.survey._model import NU, Law, sigma_of
 
@@ -18,9 +19,7 @@ INTERCEPT_PRIOR = (0.0, 0.8)
 LAPSES_PRIOR = (float(np.log(0.01)), 1.0)
 #: Standard deviation of the logarithm of the factor from computed covariances to declared ones: 0.6 to 1.3 on six maps of two surveys.
 COVARIANCE_PRIOR = 0.3
-#: Median of the squared error over its variance of a normal law on the plane, and what the logarithm of one answer's weighs in the median of many:
-#: its standard deviation is that over the root of their number.
-NORMAL_MEDIAN = 2 * float(np.log(2))
+#: Standard deviation of the logarithm of the median of many normalised errors squared, times the root of their number.
 MEDIAN_NOISE = 1 / float(np.log(2))
 #: Standard deviation of the logarithm of the spread of what is foretold. Without it a survey of even information, whose fixes are off by what its lines
 #: leave open and little else, would promise the same where the field is flat.
@@ -101,7 +100,7 @@ def fit_covariance_factor(squares: Array, weight: float) -> float:
     """
     median = max(float(np.median(squares)), 1e-3)
     noise = MEDIAN_NOISE**2 / (weight * squares.size)
-    return float((median / NORMAL_MEDIAN) ** (COVARIANCE_PRIOR**2 / (COVARIANCE_PRIOR**2 + noise)))
+    return float((median / MEDIAN_NEES) ** (COVARIANCE_PRIOR**2 / (COVARIANCE_PRIOR**2 + noise)))
 
 
 def fit_forecast(trace_m2: Array, distance_m: Array, error_m: Array, weight: float) -> tuple[float, float]:

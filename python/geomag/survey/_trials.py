@@ -316,16 +316,22 @@ class Trials:
                 misfit_threshold=np.inf,
                 progress=self.steps.waited_for,
             )
-            rows: list[tuple[float, float, bool, float]] = []
-            for fix, offset in zip(fixes, true, strict=True):
-                if fix.risk is None or fix.covariance_m2 is None:
-                    rows.append((np.nan, np.inf, False, np.inf))
-                    continue
-                away = (np.array(fix.offset) - offset) * self._scale
-                square = float(normalised_squares(away[None], fix.covariance_m2[None])[0])
-                rows.append((fix.risk, float(np.hypot(*away)), fix.status not in NO_STATEMENT, square))
-            risk, error_m, stated, squares = np.array(rows, dtype=float).reshape(-1, 4).T
-            return Outcome(risk, error_m, error_m > self.settings.tolerance_m, stated.astype(bool), squares)
+            n = len(fixes)
+            risk, error_m, squares, stated = (
+                np.full(n, np.nan),
+                np.full(n, np.inf),
+                np.full(n, np.inf),
+                np.zeros(n, bool),
+            )
+            known = [k for k, fix in enumerate(fixes) if fix.risk is not None and fix.covariance_m2 is not None]
+            if known:
+                answered = [fixes[k] for k in known]
+                away = (np.array([fix.offset for fix in answered]) - true[known]) * self._scale
+                risk[known] = [fix.risk for fix in answered]
+                error_m[known] = np.hypot(*away.T)
+                squares[known] = normalised_squares(away, np.array([fix.covariance_m2 for fix in answered]))
+                stated[known] = [fix.status not in NO_STATEMENT for fix in answered]
+            return Outcome(risk, error_m, error_m > self.settings.tolerance_m, stated, squares)
 
         return self.steps.side_by_side(answers, list(zip(self.maps(point.share, folds), tracks, offsets, strict=True)))
 
